@@ -67,7 +67,9 @@ def measure_alignment(camera: Calibration) -> Alignment:
     # Where the first vector would be, by each of both.
     own = vectors[1] * np.exp(-1j * np.pi / (3 if hexagonal else 2))
     both = np.array([vectors[0], own] if shape != "oblique" else [vectors[0]])
-    period = 60.0 if hexagonal else 90.0
+    period = 90.0
+    if hexagonal:
+        period = 60.0
     angle = (
         float(np.degrees(np.angle((both / np.abs(both)).sum()))) + period / 2
     ) % period - period / 2

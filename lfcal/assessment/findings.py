@@ -62,7 +62,9 @@ class Seen(NamedTuple):
 
     def length(self, pixels: float) -> str:
         """A distance in the unit that is known."""
-        return f"{pixels:.2g} px" if self.pixel is None else f"{1000 * pixels * self.pixel:.2g} um"
+        if self.pixel is None:
+            return f"{pixels:.2g} px"
+        return f"{1000 * pixels * self.pixel:.2g} um"
 
 
 def unmeasured(unit: str, why: str) -> Finding:
@@ -81,7 +83,9 @@ def find_rotation(found: Alignment, camera: Calibration) -> Finding:
     told = partial(
         Finding, value, error, "degrees", details={"lattice": found.shape, "rows": found.rows}
     )
-    rows = "the rows of lenses" if found.rows == "both ways" else f"the {found.rows} rows of lenses"
+    rows = f"the {found.rows} rows of lenses"
+    if found.rows == "both ways":
+        rows = "the rows of lenses"
     drift = abs(np.radians(value)) * max(camera.image_size)
     if not np.isfinite(error):
         return told("its error is not known, so there is no advice")
@@ -130,7 +134,9 @@ def find_tilt(seen: Seen) -> Finding:
     value = float(np.degrees(np.hypot(*vector)))
     error = float(np.degrees(sum(weight) ** -0.5))
     to_right, to_bottom = np.degrees(vector).tolist()
-    unit = "degrees per f-number" if per_number else "degrees"
+    unit = "degrees"
+    if per_number:
+        unit = "degrees per f-number"
     told = partial(
         Finding, value, error, unit, details={"to_right": to_right, "to_bottom": to_bottom}
     )
@@ -142,7 +148,9 @@ def find_tilt(seen: Seen) -> Finding:
             "on one side"
         )
     if value <= SURE * error:
-        limit = "" if per_number else f" larger than {SURE * error:.2g} degrees"
+        limit = f" larger than {SURE * error:.2g} degrees"
+        if per_number:
+            limit = ""
         return told(f"no tilt{limit} is seen: microimages are alike on all sides")
     verdict = f"the sensor is farther from the array at the {direction_name(vector)} of the flat"
     if per_number:
@@ -152,7 +160,9 @@ def find_tilt(seen: Seen) -> Finding:
     if not _is_confirmed(slope, bent, bent_error, seen.field):
         return told(f"{verdict}; neither pitches nor rims confirm it, it may be the light")
     lift = seen.length(2 * reach * float(np.hypot(*vector)))
-    away = "" if per_number else f", by {lift} over the diagonal of the sensor"
+    away = f", by {lift} over the diagonal of the sensor"
+    if per_number:
+        away = ""
     return told(
         verdict, f"bring them nearer there, or farther apart at the {direction_name(-vector)}{away}"
     )

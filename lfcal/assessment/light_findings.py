@@ -48,7 +48,9 @@ def find_vignetting(seen: Seen) -> Finding:
         return unmeasured("px", "the calibration has no gain map")
     corner = 1 - float(np.exp(min(level.bend, 0.0))) if np.isfinite(level.bend) else float("nan")
     details = {"corner_light_lost": corner}
-    falls = "" if np.isnan(corner) else f"; the light falls by {corner:.0%} towards the corners"
+    falls = f"; the light falls by {corner:.0%} towards the corners"
+    if np.isnan(corner):
+        falls = ""
     if not len(gain.cut):
         # Cuts by less are not looked for.
         return Finding(0.0, _NO_CUT_FAULT, "px", f"no microimages are cut{falls}", details=details)
@@ -83,7 +85,9 @@ def find_range(flats: list[NDArray[Any]], white_level: float | None = None) -> f
         return 255.0
     if any(measure_overexposure(flat) > 0 for flat in flats):
         return float(max(flat.max() for flat in flats))
-    return 65535.0 if max(flat.max() for flat in flats) >= 1 << 14 else None
+    if max(flat.max() for flat in flats) >= 1 << 14:
+        return 65535.0
+    return None
 
 
 def find_exposure(flat: NDArray[Any], top: float | None) -> Finding:
@@ -101,7 +105,9 @@ def find_exposure(flat: NDArray[Any], top: float | None) -> Finding:
             "--white-level",
         )
     bright = float(np.percentile(flat[evenly(len(flat), _ROWS)], 99)) / top
-    clipped = float((flat >= top).mean()) if brightest >= top else 0.0
+    clipped = 0.0
+    if brightest >= top:
+        clipped = float((flat >= top).mean())
     told = partial(
         Finding, 100 * bright, 0.0, "%", details={"clipped": clipped, "white_level": top}
     )
@@ -179,7 +185,9 @@ def find_dirt(seen: Seen) -> Finding:
         > 0
     )
     dead = defects.lenses[inside[tuple((defects.lenses - low).T)]]
-    seen_dead = f"{len(dead)} dead lenses" if len(dead) else "no dead lenses"
+    seen_dead = "no dead lenses"
+    if len(dead):
+        seen_dead = f"{len(dead)} dead lenses"
     if flat.shape[0] * flat.shape[1] >= LARGE:
         return Finding(
             len(dead),
@@ -244,7 +252,9 @@ def _is_seen(
         left,
         top,
     )
-    period = 1 if camera.lens_types is None else len(camera.lens_types.cell)
+    period = 1
+    if camera.lens_types is not None:
+        period = len(camera.lens_types.cell)
     levels = []
     for step in period * np.array([(-1, 0), (1, 0), (0, -1), (0, 1)]) @ camera.lattice.basis:
         x, y = np.rint(place + step).astype(int).T

@@ -57,7 +57,9 @@ class Finding:
         return f"{self.value:.{digits}f} +- {self.error:.{digits}f} {self.unit}"
 
     def __str__(self) -> str:
-        advice = f"; {self.advice}" if self.advice else ""
+        advice = ""
+        if self.advice:
+            advice = f"; {self.advice}"
         return (f"{self.measured}: " if self.measured else "") + self.verdict + advice
 
 
@@ -129,7 +131,9 @@ class Assessment:
         """
         groups: dict[str, tuple[list[str], Finding]] = {}
         for name, finding in self.findings.items():
-            key = name if finding.measured else finding.verdict
+            key = finding.verdict
+            if finding.measured:
+                key = name
             groups.setdefault(key, ([], finding))[0].append(name)
         return [(", ".join(names), finding) for names, finding in groups.values()]
 

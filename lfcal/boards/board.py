@@ -67,7 +67,9 @@ class Board:
             raise BoardError(f"a checkerboard needs 3 x 3 inner corners or more, got {size}")
         if not 0 < check_number(self.square, "square") < np.inf:
             raise BoardError(f"the square must have a positive side [mm], got {self.square!r}")
-        usual = _MARKER if self.pattern == "charuco" else _CIRCLE
+        usual = _CIRCLE
+        if self.pattern == "charuco":
+            usual = _MARKER
         marker = check_number(self.marker or self.square * usual, "marker")
         if not 0 < marker < np.inf or (self.pattern == "charuco" and marker >= self.square):
             raise BoardError(
@@ -103,7 +105,9 @@ class Board:
         )
 
     def __str__(self) -> str:
-        points = "circles" if self.pattern == "circles" else "corners"
+        points = "corners"
+        if self.pattern == "circles":
+            points = "circles"
         return f"{self.pattern} of {self.columns} x {self.rows} {points}"
 
 

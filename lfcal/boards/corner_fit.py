@@ -197,7 +197,9 @@ def fit_corners(
     if board.pattern == "charuco":
         # Markers fill the white squares up to a margin.
         margin = _MARGIN * (1 - marker) / 2
-    disc = marker / 2 if board.pattern == "circles" else 0.0
+    disc = 0.0
+    if board.pattern == "circles":
+        disc = marker / 2
     reach = np.minimum(_REACH * np.abs(shape).sum(2).max(1), 2 * radius)
     fitted = (flat, centres, radius, predicted, np.linalg.inv(shape), reach, disc, margin)
     for iteration in range(_ITERATIONS):

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ..lattice.lattice import Lattice
-from ..runtime.arrays import Array, Floats, Integers, Singles
+from ..runtime.arrays import MOST, Array, Floats, Integers, Singles
 from .board import Board
 
 __all__ = ["DetectedBoard", "FocusSweep", "FocusedPicture", "detect", "other_size"]
@@ -36,8 +36,6 @@ _WINDOW = (7, 7)
 _LEAST_KNOWN = 0.3
 # Lenses that draw a point: the nearest one and a ring of six about it.
 _LENSES = 7
-# Percentiles of the grey values that detectors get as black and white.
-_BLACK_WHITE = (1, 99)
 # Fewest points with which a board counts as found.
 _LEAST_POINTS = 6
 # Errors of `D / s` up to this share of it are squared, larger ones count in proportion (Huber).
@@ -130,7 +128,7 @@ def detect(picture: FocusedPicture, board: Board) -> DetectedBoard | None:
     lit = picture.image[picture.image > 0]
     if not lit.size:
         return None
-    low, high = np.percentile(lit, _BLACK_WHITE)
+    low, high = np.percentile(lit, MOST)
     grey = _to_grey(picture.image - low, high - low)
     # Detectors need squares of 8 px: they find smaller ones on the enlarged picture.
     for zoom in (1, 2):
@@ -162,15 +160,19 @@ def other_size(image: Singles, board: Board, larger: bool) -> str:
     """
     if board.pattern != "checkerboard":
         return ""
-    grey = _to_grey(image, float(np.percentile(image, _BLACK_WHITE[1])))
+    grey = _to_grey(image, float(np.percentile(image, MOST[1])))
     # Noise often shows 3 x 3 corners, so that a board needs 4 x 4.
     flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_LARGER
     found, _, meta = cv2.findChessboardCornersSBWithMeta(grey, (4, 4), flags)
     own = sorted((board.columns, board.rows))
-    seen = sorted(meta.shape) if found else []
+    seen = []
+    if found:
+        seen = sorted(meta.shape)
     if not found or own == seen or (larger and (seen[0] < own[0] or seen[1] < own[1])):
         return ""
-    return f"{seen[1]} x {seen[0]}" if board.columns >= board.rows else f"{seen[0]} x {seen[1]}"
+    if board.columns >= board.rows:
+        return f"{seen[1]} x {seen[0]}"
+    return f"{seen[0]} x {seen[1]}"
 
 
 _Points = tuple[Array, Array]
@@ -180,12 +182,16 @@ _NONE: _Points = np.zeros(0, np.int64), np.zeros((0, 2))
 def _checkerboard(image: NDArray[np.uint8], board: Board) -> _Points:
     flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
     found, pixels = cv2.findChessboardCornersSB(image, (board.columns, board.rows), flags=flags)
-    return (np.arange(board.columns * board.rows), pixels) if found else _NONE
+    if found:
+        return (np.arange(board.columns * board.rows), pixels)
+    return _NONE
 
 
 def _charuco(image: NDArray[np.uint8], board: Board) -> _Points:
     pixels, corner, _, _ = cv2.aruco.CharucoDetector(board.charuco()).detectBoard(image)
-    return _NONE if pixels is None else (corner.ravel().astype(np.int64), pixels)
+    if pixels is None:
+        return _NONE
+    return (corner.ravel().astype(np.int64), pixels)
 
 
 def _circles(image: NDArray[np.uint8], board: Board) -> _Points:
@@ -212,14 +218,18 @@ def _ordered(image: Singles, board: Board, pixels: Floats) -> Floats:
     A board that looks the same if it is turned by 180 degrees starts at its upper left end.
     """
     if (board.columns + board.rows) % 2 == 0:
-        return pixels if pixels[0].sum() <= pixels[-1].sum() else pixels[::-1]
+        if pixels[0].sum() <= pixels[-1].sum():
+            return pixels
+        return pixels[::-1]
     grid = pixels.reshape(board.rows, board.columns, 2)
     middles = (grid[:-1, :-1] + grid[1:, :-1] + grid[:-1, 1:] + grid[1:, 1:]) / 4
     x, y = np.rint(middles).astype(int).transpose(2, 0, 1)
     light = image[np.clip(y, 0, image.shape[0] - 1), np.clip(x, 0, image.shape[1] - 1)]
     even = np.indices(light.shape).sum(0) % 2 == 0
     # The square between corners (0, 0) and (1, 1) has the colour of the one up-left of (0, 0).
-    return pixels if light[even].mean() < light[~even].mean() else pixels[::-1]
+    if light[even].mean() < light[~even].mean():
+        return pixels
+    return pixels[::-1]
 
 
 def _plane(picture: FocusedPicture, pixels: Floats) -> Floats:

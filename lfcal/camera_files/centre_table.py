@@ -63,7 +63,9 @@ def parse_centre_table(text: str, size: tuple[int, int], y_up: bool = False) -> 
             raise ValueError(f"the centres lie {rms:.2f} px (RMS) off any lattice")
     except (ValueError, np.linalg.LinAlgError) as error:
         raise CameraFileError(f"cannot be read as a table of centres ({error})") from error
-    radius = float(np.median(table["radius"])) if "radius" in table else lattice.radius
+    radius = lattice.radius
+    if "radius" in table:
+        radius = float(np.median(table["radius"]))
     types = None
     warnings = []
     if "type" in table and len(np.unique(table["type"])) > 1:
@@ -226,5 +228,7 @@ def _find_types(index: NDArray[np.int64], kinds: Array) -> LensTypes | None:
             and votes.max(1).sum() >= _LEAST_REPEATING * len(index)
         ):
             cell = votes.argmax(1).reshape(side, side)
-            return LensTypes(cell) if len(np.unique(cell)) == len(names) else None
+            if len(np.unique(cell)) == len(names):
+                return LensTypes(cell)
+            return None
     return None

@@ -152,7 +152,9 @@ def format_key_value(calibration: Calibration, mode: Mode | None = None) -> str:
         )
     steps = lattice.steps @ lattice.basis
     upright = bool(np.abs(steps[:, 1]).max() > np.abs(steps[:, 0]).max())
-    axis = 1 if upright else 0
+    axis = 0
+    if upright:
+        axis = 1
     along = steps[steps[:, axis].argmax()]
     # Two rows further the microimages stand side by side again.
     sideways = max((2 * step - along for step in steps), key=lambda v: v[1 - axis] / np.hypot(*v))
@@ -195,7 +197,9 @@ def _outermost(
     high = np.array(lattice.image_size) - 0.5 - lattice.pitch / 2
     straight = lattice.origin + lattice.indices() @ lattice.basis
     whole = straight[((straight >= low) & (straight <= high)).all(1)]
-    first = whole[whole.sum(1).argmin()] if len(whole) else middle
+    first = middle
+    if len(whole):
+        first = whole[whole.sum(1).argmin()]
     # In a turned lattice, the last ones may be beyond the border: at least one step is needed each
     # way.
     columns, rows = (
@@ -208,7 +212,9 @@ def _mode_of_types(calibration: Calibration) -> Mode | None:
     focus = calibration.lens_types.focus if calibration.lens_types is not None else None
     if focus is None or not (np.isfinite(focus).all() and abs(np.sign(focus).sum()) == len(focus)):
         return None
-    return "telescopic" if focus[0] > 0 else "binocular"
+    if focus[0] > 0:
+        return "telescopic"
+    return "binocular"
 
 
 def _near_type(
@@ -225,7 +231,9 @@ def _near_type(
     if types is None or types.count != 3 or not types.ordered:
         return None
     # Nearer objects have larger `s` of either sign.
-    nearest = 0 if mode == "telescopic" else 2
+    nearest = 2
+    if mode == "telescopic":
+        nearest = 0
     x, y = middle[::-1] + 0.5 if upright else middle + 0.5
     pitch = lattice.pitch
     row = lattice.pitch * ROW_SPACING
@@ -236,4 +244,6 @@ def _near_type(
     places = np.array([(start + k * pitch, top) for k in range(3)]) - 0.5
     index = np.rint(lattice.to_index(places[:, ::-1] if upright else places)).astype(int)
     found = np.flatnonzero(types.of(index) == nearest)
-    return int(found[0]) if len(found) == 1 else None
+    if len(found) == 1:
+        return int(found[0])
+    return None

@@ -133,7 +133,9 @@ def _type_numbers(index: NDArray[np.int64], lattice: Lattice) -> NDArray[np.int6
     """(...) 0, 1 or 2 for indices (..., 2) of a hexagonal lattice: the one way in which no
     neighbours are alike.
     """
-    along = 1 if ((lattice.steps.sum(1)) % 3 != 0).all() else -1
+    along = -1
+    if ((lattice.steps.sum(1)) % 3 != 0).all():
+        along = 1
     return (index[..., 0] + along * index[..., 1]) % 3
 
 
@@ -198,11 +200,9 @@ def _type_elements(
     yield _element("sub_grid_base", "lens", x=3.0, y=np.sqrt(3.0))
     for kind in range(3):
         x, y = (steps[np.flatnonzero(kinds == kind)[0]] @ lattice.basis * [1, -1]) @ to_lens
-        depths = (
-            _element("depth_range", "virtual_depth", min=ends[kind], max=ends[kind + 1])
-            if known
-            else ""
-        )
+        depths = ""
+        if known:
+            depths = _element("depth_range", "virtual_depth", min=ends[kind], max=ends[kind + 1])
         yield f'<lens_type id="{kind}">{_element("offset", "lens", x=x, y=y)}{depths}</lens_type>'
 
 

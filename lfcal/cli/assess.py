@@ -81,4 +81,6 @@ def assess(report: cl.Report, given: Any) -> int:
     report.finish(
         {**figures, "warnings": found.calibration.warnings}, *str(found).splitlines(), *closing
     )
-    return 0 if found.calibration.source == "white" else 1
+    if found.calibration.source == "white":
+        return 0
+    return 1

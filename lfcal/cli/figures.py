@@ -109,7 +109,9 @@ def describe_blur(blur: LensBlur) -> str:
     """Where the microlenses are in focus, and how wide their discs are, by lens type."""
     if not blur.tells_aperture:
         ratio = float(min(blur.ratios, key=abs))
-        where = "Rims of microimages" if ratio == 0 else f"Places at s = {ratio:.2f} D"
+        where = f"Places at s = {ratio:.2f} D"
+        if ratio == 0:
+            where = "Rims of microimages"
         discs = " / ".join(f"{disc:.1f}" for disc in blur.at([ratio])[0][:, 0])
         return (
             f"{where} are blurred over {discs} px; what microlenses blur elsewhere is "

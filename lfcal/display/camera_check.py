@@ -140,7 +140,9 @@ def choose_orientation(down: Calibration, up: Calibration, image: ArrayLike) -> 
     ]
     index = up.lattice.to_index(down.lattice.centres())
     if right[0] != right[1] or np.abs(index - np.rint(index)).max() < MOST_STRETCH:
-        return up if right[1] and not right[0] else down
+        if right[1] and not right[0]:
+            return up
+        return down
     warning = (
         "the image does not show whether y of the table points up or down; it was taken to point "
         "down"

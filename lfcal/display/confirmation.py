@@ -107,4 +107,6 @@ def _vertex(values: Floats) -> float:
     """Place of the vertex of a parabola through three values, from the middle one."""
     left, middle, right = values
     bend = left - 2 * middle + right
-    return float(0.5 * (left - right) / bend) if bend < 0 else 0.0
+    if bend < 0:
+        return float(0.5 * (left - right) / bend)
+    return 0.0

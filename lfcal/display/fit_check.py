@@ -143,7 +143,9 @@ def fit_offsets(
     offset = np.full((3, 3, 2), np.nan)
     if found is not None and misfit is not None:
         small = lattice.downscaled(factor)
-        start = small if misfit.is_small else found
+        start = found
+        if misfit.is_small:
+            start = small
         offset = _measure(reduced.picture, small, start, positions / factor, most) * factor
         if gain is not None and len(gain.cut) and misfit.is_small:
             # Mechanical vignetting moves rims, which the gain map shows too.

@@ -90,7 +90,8 @@ def reduce_flat(flat: Array, factor: int) -> Singles:
 
         height, width = (length // factor for length in flat.shape[:2])
         flat = flat[: factor * height, : factor * width]
-        flat = flat if flat.dtype in (np.uint8, np.uint16, np.float32) else flat.astype(np.float32)
+        if flat.dtype not in (np.uint8, np.uint16, np.float32):
+            flat = flat.astype(np.float32)
         flat = np.asarray(cv2.resize(flat, (width, height), interpolation=cv2.INTER_AREA))
     return sqrt_luminance(flat)
 

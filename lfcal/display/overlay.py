@@ -13,23 +13,17 @@ from ..hough.circle_vote import find_circles
 from ..images.mosaic import equalise_mosaic, remove_mosaic
 from ..images.preprocessing import sqrt_luminance
 from ..lattice.lattice import describe_orientation
-from ..runtime.arrays import Array, Floats
+from ..runtime.arrays import Array, Floats, stretch_contrast
 from .fit_check import FitCheck, check_fit
 
 __all__ = ["PlaceToCheck", "find_places_to_check", "show"]
 
 
-# Width of a crop [pitches], such that it is enlarged three to four times: within these widths [px],
-# but at least so many pitches.
+# Width of a crop [pitches].
 _CROP = 6
-_CROP_WIDTHS = (140, 190)
-_LEAST_CROP = 2.5
 # Line widths [points]: a dark line below a light one is visible on any background.
-_LINE = 1.2
-_SHADOW = 2.7
-# Percentiles of grey values that become black and white in a crop, and its gamma.
-_BLACK_WHITE = (1, 99)
-_GAMMA = 1.4
+_LINE = 1
+_SHADOW = 3
 
 
 class PlaceToCheck(NamedTuple):
@@ -67,15 +61,16 @@ def show(calibration: Calibration, image: ArrayLike) -> NDArray[np.uint8]:
     places = find_places_to_check(calibration, flat)
     size = np.array(calibration.image_size)
     lattice = calibration.lattice
-    width = max(np.clip(_CROP * lattice.pitch, *_CROP_WIDTHS), _LEAST_CROP * lattice.pitch)
-    reach = min(float(width), *size)
+    reach = min(_CROP * lattice.pitch, *size)
     first = np.full(2, reach / 2 - 0.5)
     end = size - 1 - first
     shares = {"top left": (0, 0), "centre": (0.5, 0.5), "top right": (1, 0), "bottom left": (0, 1)}
     crops = {name: first + (end - first) * share for name, share in shares.items()}
-    last = "look here" if places else "bottom right"
+    last = "bottom right"
+    if places:
+        last = "look here"
     crops[last] = np.clip(places[0].position, first, end) if places else end
-    figure = Figure((18, 12.9), dpi=100, layout="constrained")
+    figure = Figure((16, 12), dpi=100, layout="constrained")
     canvas = FigureCanvasAgg(figure)
     figure.suptitle(_describe(calibration, fit), x=0, ha="left", size="x-large")
     axes = figure.subplot_mosaic(
@@ -85,7 +80,9 @@ def show(calibration: Calibration, image: ArrayLike) -> NDArray[np.uint8]:
         ]
     )
     for name, middle in crops.items():
-        shown = places if name == "look here" else []
+        shown = []
+        if name == "look here":
+            shown = places
         _draw_crop(axes[name], calibration, flat, middle, reach, shown)
         axes[name].set_title(name)
     _draw_misfit(axes["misfit"], calibration, fit)
@@ -140,7 +137,9 @@ def _describe(calibration: Calibration, fit: FitCheck) -> str:
     residual = ""
     if not np.isnan(calibration.residual_rms):
         residual = f", residual {calibration.residual_rms:.3f} px RMS"
-    worry = "too much, calibrate on this flat" if fit.warning else f"no worry below {fit.limit:.1f}"
+    worry = f"no worry below {fit.limit:.1f}"
+    if fit.warning:
+        worry = "too much, calibrate on this flat"
     off = "its fit to this flat is unknown"
     if not np.isnan(fit.max_offset):
         off = f"off this flat by {fit.max_offset:.2f} px ({worry})"
@@ -169,9 +168,9 @@ def _draw_crop(
     (left, top), (right, bottom) = middle - reach / 2, middle + reach / 2
     x0 = max(int(left) - 1, 0)
     y0 = max(int(top) - 1, 0)
-    crop = _stretch_contrast(flat[y0 : int(bottom) + 2, x0 : int(right) + 2])
+    crop = stretch_contrast(flat[y0 : int(bottom) + 2, x0 : int(right) + 2])
     extent = x0 - 0.5, x0 + crop.shape[1] - 0.5, y0 + crop.shape[0] - 0.5, y0 - 0.5
-    axes.imshow(crop, extent=extent, interpolation="bicubic")
+    axes.imshow(crop, extent=extent, interpolation="bicubic", cmap="gray")
     axes.set(xlim=(left, right), ylim=(bottom, top))
 
     lattice = calibration.lattice
@@ -207,11 +206,3 @@ def _draw_misfit(axes: Any, calibration: Calibration, fit: FitCheck) -> None:
     axes.set_title("Offset of this flat from the lattice [px] (red), residuals of the fit", size=10)
     # The corners need room for their figures.
     axes.margins(0.1)
-
-
-def _stretch_contrast(crop: Array) -> NDArray[np.uint8]:
-    """A crop of a flat as RGB (h, w, 3); its darkest per cent is black, its brightest white."""
-    values = np.nan_to_num(crop.astype(np.float32)).reshape(*crop.shape[:2], -1)
-    low, high = np.percentile(values, _BLACK_WHITE)
-    scaled = np.clip((values - low) / max(high - low, 1e-6), 0, 1) ** (1 / _GAMMA)
-    return np.broadcast_to(np.rint(255 * scaled).astype(np.uint8), (*crop.shape[:2], 3))

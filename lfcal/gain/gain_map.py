@@ -196,7 +196,9 @@ class GainMap(Frozen):
             place = first[..., 0] - (0.5 - after) / np.maximum(before - after, 1e-9)
             crossed = np.where((light < 0.5).any(2), place * self.step, limit)
             least[part] = np.clip(np.where(light[..., 0] < 0.5, 0, crossed).min(1), 0, limit)
-        return np.where(self.lens_gain == 0, 0, least) if len(self.lens_gain) else least
+        if len(self.lens_gain):
+            return np.where(self.lens_gain == 0, 0, least)
+        return least
 
     def lit_cell(self, lattice: Lattice) -> float:
         """Factor 0..1 by which the cell of a lens is scaled so that it holds half the light.

@@ -38,7 +38,9 @@ def fit_light(lights: NDArray[np.floating], centres: Floats, lattice: Lattice) -
         weighted = weight[:, None] * table
         level[:] = np.linalg.solve(weighted.T @ table + ridge, weighted.T @ log)
         miss = np.abs(log - table @ level)
-        spread = robust_sigma(miss) + 1e-9 if count else 1.0
+        spread = 1.0
+        if count:
+            spread = robust_sigma(miss) + 1e-9
         weight = biweight((miss / (TUKEY_CUTOFF * spread)) ** 2)
     return level
 

@@ -68,7 +68,9 @@ class RegionGain:
         deep = pixels.reshape(*pixels.shape[:2], -1)
         out = np.empty_like(deep)
         unknown = np.empty(deep.shape[:2], np.bool_)
-        highest = float(np.iinfo(pixels.dtype).max) if pixels.dtype.kind in "ui" else 0.0
+        highest = 0.0
+        if pixels.dtype.kind in "ui":
+            highest = float(np.iinfo(pixels.dtype).max)
         # In bands of rows, so that memory does not grow with the flat.
         for first in range(0, len(deep), _BAND):
             rows = slice(first, first + _BAND)

@@ -110,7 +110,9 @@ def _correct_profile(gain: GainMap, residuals: Residuals) -> GainMap:
     # Rings with hardly any pixel are interpolated.
     at = np.arange(rings)
     filled = pixels > FEW_PIXELS * pixels.max()
-    profile = np.interp(at, at[filled], found[filled]) if filled.any() else gain.profile
+    profile = gain.profile
+    if filled.any():
+        profile = np.interp(at, at[filled], found[filled])
     stray = max(profile.min() if math.isnan(r.stray) else gain.stray_light + r.stray, 0.0)
     smooth = np.convolve(np.pad(profile, 2, "edge"), np.ones(5) / 5, "valid")
     brightest = max(float(smooth[at * gain.step < gain.radius].max()), 1e-9)
@@ -179,7 +181,9 @@ def _fit_rim(
     pull: Array = np.bincount(bins, -residuals.weight[rims] * steep * residuals.error[rims], size)
     target = pull / np.maximum(weight, 1e-30)
     angle = np.tile(np.arange(directions) * 2 * np.pi / directions, sample.windows)
-    terms = count_terms(2) if sample.windows > 2 * count_terms(2) and not scene else 1
+    terms = 1
+    if sample.windows > 2 * count_terms(2) and not scene:
+        terms = count_terms(2)
     field = np.repeat(field_monomials(sample.middle, sample.lattice, terms), directions, axis=0)
     old, rim = np.zeros((2, 1 + 2 * harmonics, terms))
     old[: len(gain.rim), : gain.rim.shape[1]] = gain.rim

@@ -24,6 +24,7 @@ from ..lattice.lens_subset import ReadCrop
 from ..lattice.robust_fit import robust_sigma
 from ..runtime.arrays import Booleans, Floats, Integers, Singles, evenly
 from ..runtime.kernels import kernel
+from ..white_fit.microimages import UNLIT
 
 __all__ = ["LensLights", "find_unlit_in_scene", "measure_lens_lights"]
 
@@ -37,8 +38,7 @@ _MANY_LENSES = 1e6
 _BAND = 128
 # Lenses that percentiles and medians are taken of.
 _SAMPLE = 20_000
-# Light over that of bright lenses (95 %) below which a lens is unlit, or may be lit by stray light.
-_DARK = 0.03
+# Light over that of bright lenses below which a lens may be unlit, with stray light.
 _DIM = 0.25
 # Contrast of the shape of a microimage from which on pixels can correlate with it.
 _SHAPED = 0.1
@@ -154,7 +154,9 @@ def _measure(
     """Measure some pixels of all lenses."""
     cell = Cell.of(lattice)
     out = np.zeros((len(_LensMeasurements._fields), len(centres)), np.float32)
-    pixels = _PIXELS if len(centres) < _MANY_LENSES else _FEWER_PIXELS
+    pixels = _FEWER_PIXELS
+    if len(centres) < _MANY_LENSES:
+        pixels = _PIXELS
     stride = max(1, round(math.sqrt(abs(np.linalg.det(lattice.basis)) / pixels)))
     lenses = gain.describe(centres, lattice)
     kinds = np.zeros(len(centres), np.int8)
@@ -163,7 +165,9 @@ def _measure(
 
     def measure(part: Singles, top: int, chosen: Integers) -> None:
         for kind, profile in enumerate(gain.profiles):
-            own = chosen[kinds[chosen] == kind] if len(gain.profiles) > 1 else chosen
+            own = chosen
+            if len(gain.profiles) > 1:
+                own = chosen[kinds[chosen] == kind]
             _measure_lenses(part, top, own, centres, lenses, cell, stride, gain.shape, profile, out)
 
     if not callable(picture):
@@ -192,8 +196,10 @@ def measure_lens_lights(picture: Singles | ReadCrop, lattice: Lattice, gain: Gai
     seen = found.number > 0
     light = found.light
     few = evenly(len(centres), _SAMPLE)
-    top = float(np.percentile(light[few][seen[few]], 95)) if seen[few].any() else 1.0
-    lit = seen & (light > _DARK * top)
+    top = 1.0
+    if seen[few].any():
+        top = float(np.percentile(light[few][seen[few]], 95))
+    lit = seen & (light > UNLIT * top)
     # Stray light has not the shape of microimages.
     shaped = found.contrast > _SHAPED
     typical = 0.0

@@ -23,7 +23,7 @@ from ..gain.gain_map import GainMap
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops
 from ..runtime.arrays import Floats, Integers, Singles
-from .residuals import CORES, Sample, clipping_luminance, draw_sample
+from .residuals import CLIPPED_PIXELS, CORES, Sample, clipping_luminance, draw_sample
 
 __all__ = ["FEW_PIXELS", "ProfilePixels", "fit_scene_profile", "fit_type_profiles", "order_by_rims"]
 
@@ -59,7 +59,9 @@ class ProfilePixels(NamedTuple):
         _, stretched, through = sample.evaluate(gain)
         lit = through >= 0.5
         clipped = (sample.value >= clipping_luminance(sample.value, scene)) & lit
-        whole = sample.add(clipped.astype(np.float64)) * 20 <= sample.add(lit.astype(np.float64))
+        whole = sample.add(clipped.astype(np.float64)) * CLIPPED_PIXELS <= sample.add(
+            lit.astype(np.float64)
+        )
         chosen = np.flatnonzero(lit & whole[sample.lens])
         place = stretched[chosen] / gain.step
         ring = np.minimum(place.astype(np.int64), len(gain.profile) - 2)

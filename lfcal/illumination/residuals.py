@@ -20,7 +20,15 @@ from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops, sample_lenses, sample_mask
 from ..runtime.arrays import Array, Integers, Singles
 
-__all__ = ["CORES", "Residuals", "Sample", "clipping_luminance", "collect_residuals", "draw_sample"]
+__all__ = [
+    "CLIPPED_PIXELS",
+    "CORES",
+    "Residuals",
+    "Sample",
+    "clipping_luminance",
+    "collect_residuals",
+    "draw_sample",
+]
 
 # Pixels that remain of each lens where rows and columns are left out.
 _PIXELS_OF_LENS = 700
@@ -35,6 +43,8 @@ _LEAST_PLANE = 0.2
 _BEHIND = 0.02
 # Lenses of scenes with this squared contrast beside a plane have half the weight of even ones.
 _CONTRAST = 0.06**2
+#: A lens is used if at most one of this number of its pixels is clipped.
+CLIPPED_PIXELS = 20
 
 
 class Sample(NamedTuple):
@@ -145,7 +155,9 @@ class Residuals(NamedTuple):
 
 def clipping_luminance(value: Array, scene: bool) -> float:
     """Luminance from which on pixels of a scene count as clipped; infinite for white images."""
-    return CLIPPED_LIGHT * float(value.max()) if scene else math.inf
+    if scene:
+        return CLIPPED_LIGHT * float(value.max())
+    return math.inf
 
 
 def collect_residuals(sample: Sample, gain: GainMap, scene: bool, largest: Array) -> Residuals:
@@ -161,7 +173,9 @@ def collect_residuals(sample: Sample, gain: GainMap, scene: bool, largest: Array
     error = sample.value / level[lens] - light * plane
     weight = share[lens]
     behind = (through < _BEHIND) & (weight > 0)
-    stray = float(np.average(error[behind], weights=weight[behind])) if behind.any() else math.nan
+    stray = math.nan
+    if behind.any():
+        stray = float(np.average(error[behind], weights=weight[behind]))
     place = stretched / gain.step
     ring = np.minimum(place.astype(np.int64), len(gain.profile) - 2)
     kept = np.flatnonzero((weight > 0) & (np.abs(error) <= largest[ring]))
@@ -185,7 +199,7 @@ def _fit_lens_lights(
     clipped = own.add((v >= clipping).astype(np.float64))
     total = own.add(s * v)
     whole = own.add(s * s)
-    good = (count >= 4) & (total > 0) & (clipped * 20 <= count)
+    good = (count >= 4) & (total > 0) & (clipped * CLIPPED_PIXELS <= count)
     level = np.where(good, total / np.maximum(whole, 1e-300), 1.0)
     if not scene:
         return level, np.zeros((2, len(level))), good.astype(np.float64)

@@ -207,7 +207,9 @@ class ZarrFlat(NamedTuple):
     def shape(self) -> tuple[int, ...]:
         """Height, width and, where there are any, number of channels."""
         shape = tuple(int(n) for n in self.array.shape[self.leading :])
-        return (*shape[1:], shape[0]) if self.channels_first else shape
+        if self.channels_first:
+            return (*shape[1:], shape[0])
+        return shape
 
     def read(self, rows: slice, columns: slice) -> NDArray[Any]:
         """Pixels as stored, channels last; FlatError if a chunk is missing."""
@@ -215,7 +217,9 @@ class ZarrFlat(NamedTuple):
         parts = [*channels, rows, columns] if self.channels_first else [rows, columns, *channels]
         self._check_chunks(parts)
         pixels = np.asarray(self.array[(*(0,) * self.leading, *parts)])
-        return np.moveaxis(pixels, 0, -1) if self.channels_first else pixels
+        if self.channels_first:
+            return np.moveaxis(pixels, 0, -1)
+        return pixels
 
     def _check_chunks(self, parts: list[slice]) -> None:
         metadata = self.array.metadata
@@ -266,7 +270,9 @@ def open_zarr(path: Path) -> ZarrFlat:
     if not hasattr(array, "shape"):
         names = sorted(array.array_keys())
         attributes = dict(array.attrs)
-        wanted = names[:] if len(names) == 1 else ["0"]
+        wanted = ["0"]
+        if len(names) == 1:
+            wanted = names[:]
         with suppress(KeyError, IndexError, TypeError, AttributeError):
             scales = attributes.get("ome", attributes)["multiscales"][0]
             wanted.insert(0, str(scales["datasets"][0]["path"]))
@@ -288,7 +294,9 @@ def check_zarr(array: Any) -> ZarrFlat:
     leading = next((k for k, n in enumerate(whole[:-2]) if n != 1), max(len(whole) - 2, 0))
     shape = whole[leading:]
     first = len(shape) == 3 and shape[2] > _MOST_CHANNELS >= shape[0]
-    picture = (*shape[1:], shape[0]) if first else shape
+    picture = shape
+    if first:
+        picture = (*shape[1:], shape[0])
     if not _is_picture(picture) or math.prod(picture[:2]) > MAX_PIXELS:
         raise FlatError(
             f"a flat is one grey or RGB picture of {MAX_PIXELS} px at most, this array has shape "

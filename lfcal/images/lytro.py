@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..runtime.errors import FlatError
+from ..runtime.input_file import LARGEST_TEXT
 from .pixels import check_only_page, check_page, check_size
 
 __all__ = ["read_lytro", "unpack_pixels"]
@@ -25,8 +26,6 @@ _SHA1_BYTES = 80  # "sha1-", 40 digits, zeros
 # Width, height and bits of sensors by the bytes of their packed pixels, for archives without
 # descriptions.
 _SENSORS = {3280 * 3280 * 12 // 8: (3280, 3280, 12), 7728 * 5368 * 10 // 8: (7728, 5368, 10)}
-# Most bytes of a description; usual ones have some kilobytes.
-_MOST_DESCRIPTION = 1 << 26
 
 _REMEDY = (
     "these are made from the raw one, which lies beside it in the library of Lytro Desktop and on "
@@ -84,7 +83,7 @@ def _sections(data: memoryview) -> Iterator[tuple[str, memoryview]]:
 
 
 def _parse(data: memoryview) -> Any:
-    if len(data) > _MOST_DESCRIPTION:
+    if len(data) > LARGEST_TEXT:
         raise FlatError("damaged Lytro file: a description of more than 64 MB")
     try:
         return json.loads(bytes(data).rstrip(b"\0"))
@@ -95,7 +94,9 @@ def _parse(data: memoryview) -> Any:
 def _find(value: Any, key: str) -> Iterator[dict[str, Any]]:
     if isinstance(value, dict) and key in value:
         yield value
-    inner = list(value.values()) if isinstance(value, dict) else value
+    inner = value
+    if isinstance(value, dict):
+        inner = list(value.values())
     if isinstance(inner, list):
         for one in inner:
             yield from _find(one, key)

@@ -105,8 +105,12 @@ def find_mosaic(flat: NDArray[Any]) -> Mosaic | None:
     by_brightness = abs(longer) <= _LONGER or (as_bright and abs(middle) > _WARM)
     red_first = bool((middle if by_brightness else longer) > 0)
     if green_inside:
-        return "RGGB" if red_first else "BGGR"
-    return "GRBG" if red_first else "GBRG"
+        if red_first:
+            return "RGGB"
+        return "BGGR"
+    if red_first:
+        return "GRBG"
+    return "GBRG"
 
 
 def _peaks(blocks: NDArray[np.float32]) -> list[float]:

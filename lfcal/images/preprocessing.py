@@ -69,7 +69,9 @@ def soften_mask(picture: NDArray[np.float32]) -> NDArray[np.float32]:
     """A picture (h, w), blurred by a pixel if it is a mask: fits to edges need a slope."""
     import cv2
 
-    return np.asarray(cv2.GaussianBlur(picture, (0, 0), 1.0)) if is_mask(picture) else picture
+    if is_mask(picture):
+        return np.asarray(cv2.GaussianBlur(picture, (0, 0), 1.0))
+    return picture
 
 
 @kernel(share=lambda padded, out: len(out))

@@ -128,7 +128,9 @@ def count_pages(
             return count_yuv_frames(source, size, pixel_format)
         with source.open("rb") as stream:
             kind = identify_format(stream.read(16))
-        return count_tiff_pages(source) if kind == "TIFF" else 1
+        if kind == "TIFF":
+            return count_tiff_pages(source)
+        return 1
 
 
 def _decode(source: Path, page: int | None) -> NDArray[Any]:

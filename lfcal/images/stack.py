@@ -107,7 +107,9 @@ def estimate_white_level(flats: Sequence[NDArray[Any]]) -> float | None:
 
 def measure_overexposure(flat: NDArray[Any]) -> float:
     """Share of the pixels at the largest value of their type or of a sensor; 0 for masks."""
-    top = int(flat.max()) if flat.dtype.kind == "u" else 0
+    top = 0
+    if flat.dtype.kind == "u":
+        top = int(flat.max())
     known = (8,) if flat.dtype.itemsize == 1 else (*_BITS[1:], 16)
     if is_mask(flat) or top not in [2**bits - 1 for bits in known]:
         return 0.0
@@ -172,4 +174,6 @@ def average_scenes(lights: Sequence[Light]) -> Light:
 def clipping_level(light: Light) -> float:
     """Least light of clipped pixels in an array of any shape, infinite if none are clipped."""
     top = CLIPPED_LIGHT * float(light.max())
-    return top if float((light >= top).mean()) > _CLIPPED_SHARE else float("inf")
+    if float((light >= top).mean()) > _CLIPPED_SHARE:
+        return top
+    return float("inf")

@@ -159,7 +159,9 @@ def _read_segments(
             return
         # The part of the segment that is wanted, and its place in the output.
         pixels = decoded[0][max(rows.start - top, 0) :, max(columns.start - left, 0) :]
-        into = out[plane] if planes else out
+        into = out
+        if planes:
+            into = out[plane]
         place = into[max(top - rows.start, 0) :, max(left - columns.start, 0) :]
         place = place[: pixels.shape[0], : pixels.shape[1]]
         place[...] = pixels[: place.shape[0], : place.shape[1]].reshape(place.shape)

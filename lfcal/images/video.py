@@ -142,13 +142,17 @@ def _size_of(path: Path) -> tuple[int, int] | None:
         return int(sizes[-1][0]), int(sizes[-1][1])
     camera = path.with_suffix(".cfg")
     try:
-        text = camera.read_text(encoding="utf-8-sig") if camera.stat().st_size < 1 << 16 else ""
+        text = ""
+        if camera.stat().st_size < 1 << 16:
+            text = camera.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError):
         return None
     width, height = (
         re.search(rf"(?m)^\s*Lenslet{side}\s*:\s*(\d+)", text) for side in ("Width", "Height")
     )
-    return (int(width[1]), int(height[1])) if width and height else None
+    if width and height:
+        return (int(width[1]), int(height[1]))
+    return None
 
 
 def _format_in_name(name: str) -> tuple[str | None, int | None]:

@@ -108,7 +108,9 @@ def find_lens_types(
     cell = i * period + j if pairs else (p * i + q * j) % period
     inner_loss = sample.subtract_neighbours(features.inner_loss)
     beats = _beats(_VECTORS[[strongest]], lattice)[0]
-    outer_light = inner_loss if beats else sample.subtract_neighbours(features.outer_light)
+    outer_light = inner_loss
+    if not beats:
+        outer_light = sample.subtract_neighbours(features.outer_light)
     order = find_focus_order(
         sample, cell, sharpness, disparity, outer_light, inner_loss, features.rim_ratio
     )

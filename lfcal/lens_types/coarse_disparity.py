@@ -149,7 +149,11 @@ def find_scene_mode(flat: NDArray, lattice: Lattice) -> Literal["telescopic", "b
     """
     ratio = estimate_coarse_disparity(sqrt_luminance(flat), sample_lenses(lattice))
     known = ratio[np.isfinite(ratio) & (ratio != 0)]
-    telescopic = float((known > 0).mean()) if len(known) else 0.5
+    telescopic = 0.5
+    if len(known):
+        telescopic = float((known > 0).mean())
     if len(known) < 100 or min(telescopic, 1 - telescopic) > _OTHER_MODE:
         return None
-    return "telescopic" if telescopic > 0.5 else "binocular"
+    if telescopic > 0.5:
+        return "telescopic"
+    return "binocular"

@@ -155,7 +155,9 @@ def _rim_softness(outer_light: Floats, inner_loss: Floats, types: TypeMeans) -> 
     # Light beyond a soft edge is missing before it; a brighter neighbour adds light beyond the rim
     # too, but takes none.
     loss = float(before[0] @ soft) / float(soft @ soft)
-    return soft if loss + 2 * before[1] / float(np.linalg.norm(soft)) > _LEAST_LOSS else None
+    if loss + 2 * before[1] / float(np.linalg.norm(soft)) > _LEAST_LOSS:
+        return soft
+    return None
 
 
 def _order_over_depth(

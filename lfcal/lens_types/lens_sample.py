@@ -90,7 +90,9 @@ def outlier_limit(values: Floats) -> float:
     """Three standard deviations of values (n,), from the median of their sizes; 0 where there are
     none.
     """
-    return 3.0 * robust_sigma(values) if len(values) else 0.0
+    if len(values):
+        return 3.0 * robust_sigma(values)
+    return 0.0
 
 
 def sample_lenses(lattice: Lattice, crops: StackedCrops | None = None) -> LensSample:
@@ -109,7 +111,8 @@ def sample_lenses(lattice: Lattice, crops: StackedCrops | None = None) -> LensSa
     for number in np.unique(crop):
         found, count = np.unique(indices[crop == number] // _SIDE, axis=0, return_counts=True)
         full = 4 * count >= _SIDE**2
-        found = found[full] if full.sum() >= each else found
+        if full.sum() >= each:
+            found = found[full]
         chosen = np.unique(
             np.linspace(0, len(found) - 1, min(each, len(found))).round().astype(int)
         )

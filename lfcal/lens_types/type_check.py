@@ -41,11 +41,9 @@ def find_type_conflict(
         seen = found.focus is not None and bool(np.isfinite(found.focus).all())
         if found.ordered and types.ordered and (seen or not rims_known):
             same = np.array_equal(_numbers(found, types), _numbers(types, found))
-            return (
-                None
-                if same
-                else "the lens types of the camera are in another order than on the flat"
-            )
+            if same:
+                return None
+            return "the lens types of the camera are in another order than on the flat"
         # Lenses are alike in one pattern where they are in the other, whatever their numbers.
         pairs = np.unique(
             np.stack([_numbers(found, types).ravel(), _numbers(types, found).ravel()]), axis=1
@@ -96,7 +94,9 @@ def _is_refuted(picture: Singles, lattice: Lattice, types: LensTypes, rims_known
     sample = sample_lenses(lattice)
     features = measure_lens_features(picture, sample)
     means = TypeMeans.from_sample(sample, types.cell.astype(np.int64))
-    rim = features.inner_loss if is_in_step(types.cell, lattice) else features.outer_light
+    rim = features.outer_light
+    if is_in_step(types.cell, lattice):
+        rim = features.inner_loss
     if features.rim_ratio < FLATTENED and not rims_known:
         softness = means.fit_means(sample.subtract_neighbours(rim))
         if softness is not None:

@@ -150,7 +150,8 @@ def linearise(
     turned = np.einsum("nij,nj->ni", poses.rotation[o.pose], board[o.corner])
     points = turned + poses.translation[o.pose]
     by_camera, by_point = project_derivatives(camera, pixel, points, o.centre)
-    turns = np.zeros((len(poses.rotation), 3)) if turns is None else turns
+    if turns is None:
+        turns = np.zeros((len(poses.rotation), 3))
     # d(exp(w) y) / dw of y = exp(-w) turned.
     bend = [
         np.einsum("kij,lj->ikl", jacobian.reshape(3, 3, 3), rotation)
@@ -179,7 +180,8 @@ def adjust(
     count = len(poses.rotation)
     chosen = unknowns(free, count)
     problem = _Problem(poses, pixel, board, observations, chosen)
-    shape = np.zeros(_LAST) if shape is None else shape
+    if shape is None:
+        shape = np.zeros(_LAST)
     values = np.concatenate([camera, np.zeros(6 * count), shape])
     everything = np.ones(len(observations))
     for _ in range(2):

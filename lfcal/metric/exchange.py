@@ -215,7 +215,9 @@ def _write_js(path: Path, data: dict[str, Any]) -> None:
             return {name: as_strings(one) for name, one in value.items()}
         if isinstance(value, list):
             return [as_strings(one) for one in value]
-        return f"{value:.17g}" if isinstance(value, float) else str(value)
+        if isinstance(value, float):
+            return f"{value:.17g}"
+        return str(value)
 
     with atomic_write(path) as temporary:
         temporary.write_text(json.dumps(as_strings(data), indent=4) + "\n", encoding="utf-8")

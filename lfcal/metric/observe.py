@@ -184,7 +184,9 @@ def _fit_edges(
             spread = robust_sigma(blur - width)
             rows.append((kind, np.median(sample.ratio[own]), width, spread))
     kinds, ratios, widths, spreads = np.array(rows, np.float64).reshape(-1, 4).T
-    error = float(np.median(np.concatenate(errors))) if rows else np.inf
+    error = np.inf
+    if rows:
+        error = float(np.median(np.concatenate(errors)))
     return Edges(kinds.astype(np.int64), ratios, widths, spreads), error
 
 
@@ -196,7 +198,9 @@ def _expected_sign(board: Board, corner: Array, contrast: Array) -> Array:
     sign = np.ones(len(corner))
     if board.pattern != "circles":
         sign[(corner % board.columns + corner // board.columns) % 2 == 0] = -1.0
-    return sign if float((sign * contrast).sum()) >= 0 else -sign
+    if float((sign * contrast).sum()) >= 0:
+        return sign
+    return -sign
 
 
 def _predict(

@@ -138,6 +138,8 @@ def _record() -> Path:
     own = Path(__file__).parent / "__pycache__"
     if not given and not os.access(own if own.exists() else own.parent, os.W_OK):
         return user_cache_path("lfrender", ensure_exists=True) / "compiled.txt"
-    folder = Path(given) if given else own
+    folder = own
+    if given:
+        folder = Path(given)
     folder.mkdir(parents=True, exist_ok=True)
     return folder / "compiled.txt"

@@ -94,7 +94,9 @@ def check_type(value: Any, kind: type, name: str, remedy: str) -> None:
     """Raise a TypeError that names an argument of another type, and what makes one."""
     # A text is never meant as an iterable.
     if not isinstance(value, kind) or (kind is Iterable and isinstance(value, str)):
-        article = "an" if kind.__name__[0] in "AEIOU" else "a"
+        article = "a"
+        if kind.__name__[0] in "AEIOU":
+            article = "an"
         raise TypeError(
             f"{name} must be {article} {kind.__name__}, got {type(value).__name__}; {remedy}"
         )

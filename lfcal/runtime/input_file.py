@@ -7,13 +7,14 @@ from __future__ import annotations
 import os
 import stat
 
+from .arrays import LARGEST_BLOCK
 from .errors import check_path
 
 __all__ = ["LARGEST_TEXT", "open_regular", "read_text"]
 
 #: Of camera files [bytes]: a table of the three million microimages of a flat of 500 megapixels has
 #: half of it.
-LARGEST_TEXT = 1 << 28
+LARGEST_TEXT = LARGEST_BLOCK
 
 
 def open_regular(path: str | os.PathLike[str]) -> int:

@@ -66,5 +66,7 @@ def parse_pixel_format(text: str) -> tuple[str, str, int]:
         )
     subsampling = found[1] or "400"
     bits = int(found[2] or found[3] or 8)
-    name = "gray" if subsampling == "400" else f"yuv{subsampling}p"
+    name = f"yuv{subsampling}p"
+    if subsampling == "400":
+        name = "gray"
     return name if bits == 8 else f"{name}{bits}le", subsampling, bits

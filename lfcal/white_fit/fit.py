@@ -222,7 +222,9 @@ def _solve(
     columns = jacobian.reshape(-1, count)
     force = right.reshape(-1)
     alone = np.linalg.solve(normal, right[..., None])[..., 0]
-    passes = 3 if weight is None else 1
+    passes = 1
+    if weight is None:
+        passes = 3
     weight = np.ones(lenses) if weight is None else weight
     for _ in range(passes):
         weighted = (np.repeat(weight, 2)[:, None] * columns).T

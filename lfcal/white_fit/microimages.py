@@ -22,7 +22,7 @@ from ..runtime.arrays import Floats, Integers, Singles
 from ..runtime.errors import CalibrationError
 from .kernel import Rings, Sums, Windows, add_lenses
 
-__all__ = ["FEWEST_LENSES", "Microimages", "cut_out"]
+__all__ = ["FEWEST_LENSES", "UNLIT", "Microimages", "cut_out"]
 
 FEWEST_LENSES = 12
 # [px] between rings of the profile: edges of discs are about 1 px wide.
@@ -39,8 +39,8 @@ _INNER = 0.6
 _CORE = 0.4
 # Share of the median weight that a ring needs to have a harmonic.
 _FEW = 0.01
-# Lenses that are darker than this share of the bright ones are not lit.
-_DARK = 0.03
+#: Lenses that are darker than this share of the bright ones (95 %) are not lit.
+UNLIT = 0.03
 # Pixels that a mean over all lenses is taken from, and fewer for a slope.
 _PIXELS = 1e6
 _SLOPE_PIXELS = 2e5
@@ -217,7 +217,7 @@ def cut_out(
     margin = cell.circumradius + 2
     indices, centres, crop = tones.lenses(lattice, margin)
     lit = find_lit_lenses(
-        tones.picture, lattice, indices, centres - tones.offsets[crop], _DARK**0.5
+        tones.picture, lattice, indices, centres - tones.offsets[crop], UNLIT**0.5
     )
     share = max(pixels / abs(np.linalg.det(lattice.basis)), fewest) / max(int(lit.sum()), 1)
     chosen = np.flatnonzero(lit)[sample_mask(int(lit.sum()), share)]
@@ -238,7 +238,7 @@ def cut_out(
     )
     bright = np.zeros(0, dtype=bool)
     if len(gain):
-        bright = gain > _DARK * np.quantile(gain, 0.95)
+        bright = gain > UNLIT * np.quantile(gain, 0.95)
     if bright.sum() < FEWEST_LENSES:
         raise CalibrationError(
             f"only {bright.sum()} whole microimages of {lattice.pitch:.1f} px pitch are lit on the "

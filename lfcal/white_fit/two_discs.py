@@ -218,7 +218,9 @@ class TwoDiscs:
 
     def _names(self) -> tuple[str, ...]:
         straight = ("origin", "origin", "a1", "a1", "a2", "a2")
-        return (*straight, "k1") if self.covariance[BEND, BEND] > 0 else straight
+        if self.covariance[BEND, BEND] > 0:
+            return (*straight, "k1")
+        return straight
 
     def _response(self) -> Floats:
         """(p, 19) derivative of the parameters of the lattice, which is linear in those of the
@@ -495,11 +497,9 @@ def choose_lens(discs: TwoDiscs) -> TwoDiscs:
 
 def _state_doubt(discs: TwoDiscs, clash: bool) -> str:
     apart = abs(discs.cut.growth)
-    why = (
-        "the smaller one is not the one that its shading is centred on"
-        if clash
-        else "they are alike"
-    )
+    why = "they are alike"
+    if clash:
+        why = "the smaller one is not the one that its shading is centred on"
     return (
         f"microimages are the overlap of two discs of {discs.radius[0]:.2f} and "
         f"{discs.radius[1]:.2f} px radius, and {why}: the first is taken for the lens; if the "

@@ -26,8 +26,6 @@ _FORMS = {
     "ply": (".ply", ".pcd"),
     "mesh": (".glb", ".ply"),
 }
-# A mode of a smaller share of the lenses is left out of sentences: these are mostly errors.
-_FEW = 0.01
 
 
 @capture_command(
@@ -143,13 +141,13 @@ def analyze(capture: CaptureInput, given: Any) -> None:
 
 def _near_and_far(depth: DepthMap) -> str:
     """Which colours are near: M falls toward the camera where telescopic, else it grows."""
-    from ..data.depth_map import BINOCULAR, TELESCOPIC
+    from ..data.depth_map import BINOCULAR, RARE_MODE, TELESCOPIC
 
     ends = {
         TELESCOPIC: ("blue is near, red is far", " where telescopic"),
         BINOCULAR: ("red is near, blue is far", " where binocular"),
     }
-    shown = [told for mode, told in ends.items() if (depth.mode == mode).mean() > _FEW]
+    shown = [told for mode, told in ends.items() if (depth.mode == mode).mean() > RARE_MODE]
     if len(shown) == 1:
         return shown[0][0]
     return ", ".join(map("".join, shown))

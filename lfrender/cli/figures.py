@@ -43,7 +43,9 @@ def rendering_settings(
     settings: dict[str, Any] = {"rendering": "one patch size", "patch_size": patch_size}
     if depth is not None:
         settings = {"rendering": "all in focus", "preset": depth.preset}
-    return settings if detail is None else {**settings, "detail": detail}
+    if detail is None:
+        return settings
+    return {**settings, "detail": detail}
 
 
 def capture_figures(
@@ -105,7 +107,9 @@ def _median(values: Array) -> float:
     """The median, NaN of no values."""
     import numpy as np
 
-    return float(np.median(values)) if values.size else float("nan")
+    if values.size:
+        return float(np.median(values))
+    return float("nan")
 
 
 def few_pixels_problem(pitch: float) -> str | None:
@@ -154,7 +158,9 @@ def capture_sentences(
         return sentences
     figures = capture_figures(calibration, depth, optics)
     count = figures["lenses_analysed"]
-    lenses = f"{count:,} lenses in this part" if count < len(depth) else "lenses"
+    lenses = "lenses"
+    if count < len(depth):
+        lenses = f"{count:,} lenses in this part"
     told = {n: share for n, share in figures["modes"].items() if share >= _SMALLEST_SHARE}
     shares = ", ".join(f"{percent(share)} {name}" for name, share in told.items())
     if "unresolved" in told:

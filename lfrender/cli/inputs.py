@@ -191,7 +191,9 @@ class CaptureInput:
 
             calibration = known
             if self.mosaic is not None:
-                shown = pixels if isinstance(pixels, np.ndarray) else None
+                shown = pixels
+                if not isinstance(pixels, np.ndarray):
+                    shown = None
                 calibration = known.with_mosaic(self.mosaic, flat=shown)
         elif self.white is not None:
             calibration = self._calibrate_white(self.white, pixels)
@@ -366,4 +368,6 @@ def _read_camera(path: Path, pixels: NDArray[Any] | FlatSource) -> Calibration:
         calibration = check.warn(calibration, path)
     if part.ndim == 2:
         calibration = calibration.with_mosaic_of(part)
-    return widen_microimages(calibration, part) if part is pixels else calibration
+    if part is pixels:
+        return widen_microimages(calibration, part)
+    return calibration

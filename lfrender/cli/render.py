@@ -76,10 +76,14 @@ def render(capture: CaptureInput, given: Any) -> None:
             picture = run_traditional(pixels, calibration)
         else:
             picture = run(pixels, calibration, depth, roi=capture.roi, **drawing)
-    drawn = None if traditional else depth
+    drawn = depth
+    if traditional:
+        drawn = None
     settings = figures.rendering_settings(drawn, patch_size, given.detail)
     _, stated = capture.write(given, [picture], [settings], **stored)
-    what = "a pixel per microlens" if traditional else "sharp at every depth"
+    what = "sharp at every depth"
+    if traditional:
+        what = "a pixel per microlens"
     if patch_size is not None:
         what = f"of one patch size, {patch_size:g} px"
     if given.blend:

@@ -101,7 +101,8 @@ def dense_depth(depth: DepthMap, scale: float | None = None, fill: bool = True) 
 
     check_type(depth, DepthMap, "depth", DEPTH_ADVICE)
     pitch = depth.pitch
-    scale = default_scale(depth) if scale is None else scale
+    if scale is None:
+        scale = default_scale(depth)
     grid = PictureGrid(depth.image_size, pitch, check_scale(scale, pitch))
     place = (grid.size[::-1], (grid.first, grid.first), grid.spacing)
     edge = edge_step(pitch)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfcal import Calibration, CalibrationError, FlatSource, LensBlur, Optics
-from lfcal.runtime.arrays import Array, Booleans, Floats, Frozen, Integers, Singles
+from lfcal.runtime.arrays import MOST, Array, Booleans, Floats, Frozen, Integers, Singles
 from lfcal.runtime.errors import CAMERA_ADVICE, check_type
 from lfcal.runtime.page import html_card
 
@@ -29,7 +29,7 @@ __all__ = [
     "BINOCULAR",
     "DEPTH_ADVICE",
     "MODES",
-    "MOST",
+    "RARE_MODE",
     "REASONS",
     "TELESCOPIC",
     "UNRESOLVED",
@@ -57,10 +57,10 @@ REASONS = (
 )
 #: Where a depth map comes from, for `check_type`.
 DEPTH_ADVICE = "lfrender.analyze makes one of a flat, DepthMap.load reads one from a file"
-#: Percentiles between which the values of a scale lie: errors of single lenses do not widen it.
-MOST = (1, 99)
 # Patch sizes of more lenses than this share keep the resolution of the flat.
 _FULL_RESOLUTION = 0.98
+#: Share of the lenses below which a mode is taken for errors.
+RARE_MODE = 0.01
 # Grey of unresolved places in plots, as in the maps of `lfrender.output.depth_picture`.
 _GREY = np.full(3, 150 / 255)
 # Least patch size whose magnification is shown [pitches].

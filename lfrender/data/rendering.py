@@ -186,7 +186,9 @@ class Picture:
         return self._pixels[key]
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> Array:
-        return np.array(self._pixels, dtype) if copy else np.asarray(self._pixels, dtype)
+        if copy:
+            return np.array(self._pixels, dtype)
+        return np.asarray(self._pixels, dtype)
 
     def to_xarray(self) -> Any:
         """An `xarray.DataArray` with scene coordinates `x, y` [px of the flat].
@@ -279,7 +281,9 @@ class Rendering(Picture, Frozen):
 
     def __repr__(self) -> str:
         height, width = self.image.shape[:2]
-        channels = self.image.shape[2] if self.image.ndim == 3 else 1
+        channels = 1
+        if self.image.ndim == 3:
+            channels = self.image.shape[2]
         size = f"{width} x {height} px, {channels} x {self.image.dtype}"
         return f"Rendering({size}, {self.scale:.4g} px per pitch, {np.mean(self.valid):.1%} seen)"
 

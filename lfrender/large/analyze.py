@@ -159,7 +159,9 @@ class _Flat:
     @cached_property
     def _gain(self) -> Any:
         camera = self.reader.calibration
-        return camera.region_gain() if uneven_lenses(camera) else None
+        if uneven_lenses(camera):
+            return camera.region_gain()
+        return None
 
     def read(self, part: LensTile) -> Array:
         return self.reader.read_raw(part.rectangle)
@@ -216,7 +218,9 @@ def _analyze_tiles(
     preset = flat.preset
     shape, first, spacing = grid_shape(lattice, PRESETS[preset].surface_cells)
     values = empty_lenses(len(lattice))
-    finer = FINER if PRESETS[preset].edges else 1
+    finer = 1
+    if PRESETS[preset].edges:
+        finer = FINER
     surface = np.empty((shape[0] * finer, shape[1] * finer), np.float32)
     saved: dict[str, float] = {}
     found = workers.map(_analyze_tile, flat, tiles, _Flat.read)

@@ -143,7 +143,9 @@ def render_large(
     renderer = make_renderer(reader.read, exposed, depth, *drawn_as)
     grid = renderer.grid
     workers = Workers(client, threads)
-    least = 1 if client is None else _TILES_PER_THREAD * workers.count
+    least = 1
+    if client is not None:
+        least = _TILES_PER_THREAD * workers.count
     side = _tile_size(renderer, reader, chosen.tile, least)
     text = describe(grid.affine(), chosen.settings)
     # Tiles of an earlier run are used if all that the picture depends on is the same.

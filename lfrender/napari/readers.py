@@ -33,7 +33,9 @@ def get_reader(path: str | list[str]) -> Callable[[str], list[Layer]] | None:
         except (LightFieldError, RecursionError):
             return None
         return _read
-    return _read if suffix in {*IMAGE_SUFFIXES, RAW_SUFFIX, ".zarr"} else None
+    if suffix in {*IMAGE_SUFFIXES, RAW_SUFFIX, ".zarr"}:
+        return _read
+    return None
 
 
 def _read(path: str | list[str]) -> list[Layer]:

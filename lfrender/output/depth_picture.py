@@ -32,7 +32,8 @@ def depth_picture(
     They lie between these `limits` if they are given; valid are pixels whose nearest lens has a
     depth.
     """
-    scale = default_scale(depth) if scale is None else scale
+    if scale is None:
+        scale = default_scale(depth)
     dense = dense_depth(depth, scale, fill=False)
     with np.errstate(divide="ignore"):
         ends = limits or magnification_limits(depth.magnification)

@@ -46,10 +46,8 @@ __all__ = [
 
 #: Side of the tiles of compressed TIFFs [px].
 TIFF_TILE = 256
-# Tag of the colour profile in a TIFF.
-_ICC = 34675
 # Tags of width and height of the flat, which are not those of the picture (TIFF, EXIF).
-_SIZE_TAGS = (0x0100, 0x0101, 0xA002, 0xA003)
+_SIZE_TAGS = ("ImageWidth", "ImageLength", "ExifImageWidth", "ExifImageHeight")
 # Quality of JPEG and WebP: errors of two grey levels.
 _QUALITY = 95
 # Signature and first chunk (IHDR) of a PNG file [bytes]; other chunks stand behind them.
@@ -89,7 +87,7 @@ def read_metadata(path: AnyPath) -> EmbeddedMetadata:
     """
     import tifffile
     from PIL import Image, JpegImagePlugin, PngImagePlugin, WebPImagePlugin
-    from PIL.ExifTags import IFD
+    from PIL.ExifTags import IFD, Base
 
     suffix = Path(path).suffix.lower()
     # The formats' own classes: Image.open refuses sensors above 179 megapixels.
@@ -100,16 +98,20 @@ def read_metadata(path: AnyPath) -> EmbeddedMetadata:
     try:
         if suffix in (".tif", ".tiff"):
             with tifffile.TiffFile(path) as tiff:
-                return EmbeddedMetadata(bytes(tiff.pages.first.tags.valueof(_ICC, b"")))
+                return EmbeddedMetadata(
+                    bytes(tiff.pages.first.tags.valueof("InterColorProfile", b""))
+                )
         with readers.get(suffix, JpegImagePlugin.JpegImageFile)(str(path)) as image:
             exif = Image.Exif()
             # Looking for EXIF data behind the pixels of a PNG file would decode them.
             if suffix != ".png" or "exif" in image.info:
                 exif = image.getexif()
-            for tag in _SIZE_TAGS:
+            for tag in (Base[name] for name in _SIZE_TAGS):
                 exif.pop(tag, None)
                 exif.get_ifd(IFD.Exif).pop(tag, None)
-            data = exif.tobytes() if len(exif) else b""
+            data = b""
+            if len(exif):
+                data = exif.tobytes()
             return EmbeddedMetadata(image.info.get("icc_profile") or b"", data)
     # Readers raise errors of any kind on damaged data; the pixels matter more.
     except Exception:
@@ -187,7 +189,9 @@ def check_package(path: AnyPath, kind: PictureFormat) -> None:
 
 def describe_pixels(pixels: Array) -> str:
     """Size and type of a picture in words, for messages and to compare pictures."""
-    colour = " in colour" if pixels.ndim > 2 else ""
+    colour = ""
+    if pixels.ndim > 2:
+        colour = " in colour"
     return f"{pixels.shape[1]} x {pixels.shape[0]} px of {pixels.dtype}{colour}"
 
 
@@ -236,7 +240,9 @@ def _write_tiff(path: Path, pages: list[Page], embedded: EmbeddedMetadata, compr
     ome = is_ome_name(path)
     with tifffile.TiffWriter(path, bigtiff=big, ome=ome) as tiff:
         for pixels, text in pages:
-            tiles = tiff_tiles(pixels.dtype) if compress else {}
+            tiles = {}
+            if compress:
+                tiles = tiff_tiles(pixels.dtype)
             tiff.write(
                 np.ascontiguousarray(pixels),
                 **tiff_tags(pixels.shape, text, embedded.icc, ome),

@@ -177,7 +177,9 @@ class Brightness:
     @property
     def entries(self) -> dict[str, float]:
         """What a file says of it."""
-        return {} if self.gain == 1 else {"exposure_gain": self.gain}
+        if self.gain == 1:
+            return {}
+        return {"exposure_gain": self.gain}
 
 
 def default_exposure(path: AnyPath) -> Exposure | None:

@@ -134,7 +134,9 @@ def _write_files(folder: Path, views: list[_Posed], mask: str) -> float:
     )
     # Millimetres where 16 bits hold that.
     step = max(1e-3, largest / 65535)
-    exact = ".tif" if find_spec("OpenEXR") is None else ".exr"
+    exact = ".exr"
+    if find_spec("OpenEXR") is None:
+        exact = ".tif"
     for name, picture, depth, _, known, _ in views:
         shown = picture.image
         if shown.dtype.kind != "u":
@@ -197,7 +199,9 @@ def _write_colmap(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
         values = " ".join(
             f"{v:.12g}" for v in (*camera.focal, *view.centre, *(camera.distortion if bent else ()))
         )
-        kind = "OPENCV" if bent else "PINHOLE"
+        kind = "PINHOLE"
+        if bent:
+            kind = "OPENCV"
         place = " ".join(f"{-p:.12g}" for p in camera.position)
         cameras.append(f"{number} {kind} {camera.size[0]} {camera.size[1]} {values}")
         shown = np.flatnonzero(seen[number - 1])

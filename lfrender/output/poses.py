@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lfcal import Calibration, Optics
-from lfcal.runtime.arrays import Array, Floats, Frozen, Singles
+from lfcal.runtime.arrays import MOST, Array, Floats, Frozen, Singles
 
-from ..data.depth_map import MOST, DepthMap, check_depth
+from ..data.depth_map import DepthMap, check_depth
 from ..rendering.warped_surface import virtual_depth
 from ..runtime.types import Size
 
@@ -181,7 +181,9 @@ def view_rig(
             pitch,
         )
     lens = optics
-    axis = middle if optics.principal_point is None else np.array(optics.principal_point)
+    axis = middle
+    if optics.principal_point is not None:
+        axis = np.array(optics.principal_point)
     far = lens.mla_distance
     spread = 1 + lens.sensor_distance / lens.mla_distance
     # The lens at c is read at c + q: the ray crosses the main lens there.

@@ -38,7 +38,9 @@ class Checkpoint:
     def found(self) -> Any:
         """The value that an earlier run has kept, else None."""
         kept = self._kept.get(self._stage, {})
-        return kept["value"] if kept.get("key") == self._key else None
+        if kept.get("key") == self._key:
+            return kept["value"]
+        return None
 
     def open(self) -> Path:
         """The folder, made where it does not exist."""

@@ -52,7 +52,9 @@ def check_grid(
     Files of an earlier run that a `grid` of (rows, columns) would not replace are an OutputError.
     """
     target = check_folder(folder)
-    inside = target if target.is_dir() else target.parent
+    inside = target.parent
+    if target.is_dir():
+        inside = target
     check_format(inside / f"view{suffix}", "picture", dtype=dtype, inputs=inputs)
     if grid is not None:
         rows, columns = grid
@@ -95,7 +97,9 @@ def write_grid(
     brightness = Brightness(default_exposure(f"view{suffix}") if exposure is None else exposure)
     for index, picture in enumerate(pictures):
         paths.append(target / (_grid_name(index, columns) + suffix))
-        shown = brightness.apply(picture) if isinstance(picture, Rendering) else picture
+        shown = picture
+        if isinstance(picture, Rendering):
+            shown = brightness.apply(picture)
         write_picture(paths[-1], shown, exposure=0.0, **options)
     refuse_leftovers(target, _GRID_FILES, [path.name for path in paths])
     return paths

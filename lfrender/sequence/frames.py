@@ -214,7 +214,9 @@ def open_frames(
             raise ValueError("give either frames, or start and end")
         frames = _slice_of_seconds(parts, start, end)
     found = Frames(tuple(parts), dark)
-    return found if frames is None else replace(found, chosen=_choose(found.count, frames))
+    if frames is None:
+        return found
+    return replace(found, chosen=_choose(found.count, frames))
 
 
 def _slice_of_seconds(parts: list[_Part], start: float | None, end: float | None) -> slice:

@@ -311,7 +311,9 @@ class Run:
 
     def _as_written(self, picture: Rendering) -> Rendering:
         shown: Rendering = Brightness(None, self._known.gain).apply(picture)
-        return eight_bits(shown) if self.options.eight_bits else shown
+        if self.options.eight_bits:
+            return eight_bits(shown)
+        return shown
 
 
 def render_group(run: Run, group: Group, _loaded: object) -> list[FrameResult]:

@@ -73,7 +73,9 @@ class RunFolder:
 
     def path_of(self, name: str) -> Path:
         """Picture of a frame, or folder of its views."""
-        return self.views.path_of(name) if self.views else self.place / f"{name}{self._suffix}"
+        if self.views:
+            return self.views.path_of(name)
+        return self.place / f"{name}{self._suffix}"
 
     def depth_path_of(self, name: str) -> Path:
         """Depth map of a frame, or its picture in the film of depth."""

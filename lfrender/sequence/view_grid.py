@@ -93,7 +93,9 @@ class ViewOutput:
 
     def path_of(self, name: str) -> Path:
         """The folder of the views of a frame, or of the files of raw video."""
-        return self.folder if self.raw else self.folder / name
+        if self.raw:
+            return self.folder
+        return self.folder / name
 
     def is_missing(self, name: str) -> bool:
         """Whether the views of a frame have to be written."""
@@ -136,8 +138,9 @@ class ViewOutput:
             finished = self.folder / path.name
             if not path.exists() and finished.exists():
                 os.replace(finished, path)
-            # Opened without truncation: frames are worked on at once.
-            with open(os.open(path, os.O_WRONLY | os.O_CREAT, 0o666), "wb") as stream:
+            # Frames are worked on at once: the file is not truncated.
+            path.touch()
+            with path.open("r+b") as stream:
                 stream.seek(number * len(data))
                 stream.write(data)
         self._mark(name).write_text(f"{number}\n", encoding="utf-8")

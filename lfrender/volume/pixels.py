@@ -53,7 +53,9 @@ def choose_pixels(
     height, width = flat.shape
     known = calibration.gain_map is not None or calibration.vignetting is not None
     gain = calibration.gain() if known else np.ones((height, width), np.float32)
-    cell = lattice.pitch / 2 if known else lattice.radius
+    cell = lattice.radius
+    if known:
+        cell = lattice.pitch / 2
     limit = min(cell - _RIM, pupil_radius, _LARGEST_SINE * flat_radius)
     parts = []
     for top in range(0, height, _ROWS):

@@ -168,7 +168,9 @@ def _depths(
         raise ValueError(f"depth_range must be two numbers, the smaller first, got {given_ends}")
     farthest = max(abs(first), abs(last)) * scale.slope_per_depth
     if farthest * reach < pitch / 2:
-        unit = " um" if scale.unit == "um" else ""
+        unit = ""
+        if scale.unit == "um":
+            unit = " um"
         least = pitch / (2 * reach) / scale.slope_per_depth
         raise ValueError(
             f"depth_range lies within {least:.3g}{unit} of the native plane, where one place is "
@@ -176,7 +178,9 @@ def _depths(
             "one"
         )
     if farthest > 4 * pitch:
-        unit = "um" if scale.unit == "um" else "(slopes k)"
+        unit = "(slopes k)"
+        if scale.unit == "um":
+            unit = "um"
         limit = 4 * pitch / scale.slope_per_depth
         raise ValueError(
             f"depth_range reaches {first:g} to {last:g} {unit}, but beyond {limit:.3g} a pixel "

@@ -76,7 +76,9 @@ class Volume(Frozen):
         return self.origin[0] + self.spacing[0] * np.arange(len(self.data), dtype=np.float64)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> Array:
-        return np.array(self.data, dtype) if copy else np.asarray(self.data, dtype)
+        if copy:
+            return np.array(self.data, dtype)
+        return np.asarray(self.data, dtype)
 
     def save(self, path: AnyPath) -> None:
         """Write OME-TIFF (`.ome.tif`, `.tif`) or OME-Zarr (`.zarr`) with the sizes of voxels.
@@ -153,7 +155,9 @@ class Volume(Frozen):
         return f"Volume({wide} x {high} x {deep} voxels of {size})"
 
     def _repr_html_(self) -> str:
-        unit = "µm" if self.unit == "um" else "(k = -D / s)"
+        unit = "(k = -D / s)"
+        if self.unit == "um":
+            unit = "µm"
         figures = {
             "depth": f"{self.depths[0]:.4g} to {self.depths[-1]:.4g} {unit}",
             "residual": f"{self.fit.residual:.1%} of the flat, noise {self.fit.noise:.1%}",

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Calibration, check_fit
+from lfcal.runtime.arrays import stretch_contrast
 
-from ..data.depth_map import MOST
 from .report_pictures import picture_url
 from .templates import fill
 
@@ -28,8 +28,6 @@ _SHORTEST = 1e-3
 _UNKNOWN = (214, 110, 160)  # colour of pixels without a gain: pink
 # Width of crops [pitches].
 _CROP = 6.0
-# Crops are brightened as by this gamma: microimages of dark scenes stay visible.
-_GAMMA = 1.4
 
 
 def calibration_panels(flat: NDArray, calibration: Calibration) -> Any:
@@ -67,12 +65,7 @@ def flat_part(flat: NDArray, middle: NDArray[np.float64], side: float) -> dict[s
     size = np.array(flat.shape[1::-1])
     reach = np.minimum(np.round(side).astype(int), size)
     low = np.clip(np.round(middle - reach / 2).astype(int), 0, size - reach)
-    values = np.nan_to_num(
-        flat[low[1] : low[1] + reach[1], low[0] : low[0] + reach[0]].astype(np.float32)
-    )
-    dark, bright = np.percentile(values, MOST)
-    light = np.clip((values - dark) / max(bright - dark, 1e-6), 0, 1)
-    shown = np.rint(255 * light ** (1 / _GAMMA)).astype(np.uint8)
+    shown = stretch_contrast(flat[low[1] : low[1] + reach[1], low[0] : low[0] + reach[0]])
     (x, y), (width, height) = (low - 0.5).tolist(), reach.tolist()
     return {"x": x, "y": y, "width": width, "height": height, "url": picture_url(shown)}
 

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from lfcal import Calibration, LightFieldError
 from lfcal.runtime.arrays import to_eight_bits
 
-from ..data.depth_map import BINOCULAR, MODES, TELESCOPIC, DepthMap, check_depth
+from ..data.depth_map import BINOCULAR, MODES, RARE_MODE, TELESCOPIC, DepthMap, check_depth
 from ..data.rendering import Rendering
 from ..rendering.render import render
 from ..rendering.traditional import traditional
@@ -27,8 +27,6 @@ __all__ = [
 ]
 
 
-# A mode that a smaller share of the lenses has is taken for errors.
-_FEW = 0.01
 # Reduction and quality of WebP, in the order in which they are tried.
 _SIZES = ((1.0, 92), (1.0, 78), (0.5, 85), (0.25, 85), (0.125, 80))
 # Longest row that WebP holds [px], and longest side of pictures that are never reduced [px]: the
@@ -58,7 +56,7 @@ def draw_pictures(flat: NDArray, calibration: Calibration, depth: DepthMap) -> R
     sizes = {}
     for mode in (TELESCOPIC, BINOCULAR):
         found = depth.patch_size[depth.mode == mode]
-        if found.size > _FEW * len(depth):
+        if found.size > RARE_MODE * len(depth):
             sizes[MODES[mode]] = float(np.median(found))
     fixed = {
         name: render(flat, calibration, patch_size=size, scale=sharp.scale)

@@ -71,7 +71,9 @@ def page_routes(files: Any) -> dict[tuple[str, str], Answer]:
         content = files.get(path)
         if content is None:
             return PlainTextResponse("not found", NOT_FOUND)
-        kind = "javascript" if path.endswith(".js") else "html"
+        kind = "html"
+        if path.endswith(".js"):
+            kind = "javascript"
         return Response(content, media_type=f"text/{kind}")
 
     return {("GET", "/{path:path}"): answer}
@@ -90,7 +92,9 @@ class WebServer:
         self.host = host
         #: Nothing on the loopback.
         self.token = "" if _is_loopback(host) else secrets.token_urlsafe(16)
-        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        family = socket.AF_INET
+        if ":" in host:
+            family = socket.AF_INET6
         try:
             self._listening = socket.create_server((host, port), family=family)
         except OSError as error:
@@ -145,7 +149,9 @@ class WebServer:
         if ":" in host:
             host = f"[{host}]"
         address = f"http://{host}:{self.port}/"
-        return f"{address}?token={self.token}" if self.token else address
+        if self.token:
+            return f"{address}?token={self.token}"
+        return address
 
     def reason_to_refuse(
         self, method: str, headers: Headers, query: Mapping[str, str]

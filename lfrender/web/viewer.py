@@ -146,7 +146,9 @@ class FlatPages:
         threading.Thread(
             target=self._data, args=(self._wanted, self._wanted + 1), daemon=True
         ).start()
-        return None if files is None else files.get(path)
+        if files is None:
+            return None
+        return files.get(path)
 
     def write(self, folder: str | os.PathLike[str]) -> Path:
         """Write the pages of all flats; returns the path of the first.

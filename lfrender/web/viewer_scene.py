@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfcal import Calibration, LightFieldError
-from lfcal.runtime.arrays import exposure_gain, to_eight_bits
+from lfcal.runtime.arrays import MOST, exposure_gain, to_eight_bits
 
-from ..data.depth_map import MOST, DepthMap, check_depth, default_scale
+from ..data.depth_map import DepthMap, check_depth, default_scale
 from ..data.surface import edge_step
 from ..detail.blur import averaged_squares, choose_blur
 from ..flat.gray_flat import correction_tables, has_uneven_lenses
@@ -148,7 +148,9 @@ def _cut(pixels: NDArray, left: int, top: int, side: int) -> NDArray:
     ]
     part = pixels[tuple(slice(max(low, 0), high) for low, high, _ in ends)]
     beyond = [(max(-low, 0), max(high - n, 0)) for low, high, n in ends]
-    return np.pad(part, [*beyond, (0, 0)][: pixels.ndim], "edge") if np.any(beyond) else part
+    if np.any(beyond):
+        return np.pad(part, [*beyond, (0, 0)][: pixels.ndim], "edge")
+    return part
 
 
 def _occlusion_codes(

@@ -162,13 +162,17 @@ def _input_paths(ctx: click.Context, _param: _Parameter, words: Sequence[str]) -
 
 def _stdin_file(ctx: click.Context) -> Path:
     if _STDIN not in ctx.meta:
-        data = b"" if sys.stdin.isatty() else sys.stdin.buffer.read()
+        data = b""
+        if not sys.stdin.isatty():
+            data = sys.stdin.buffer.read()
         if not data:
             raise click.UsageError(
                 "- reads the input from a pipe, but nothing came: lfrender render - -o - < flat.png"
             )
         kind = identify_format(data[:16])
-        suffix = ".json" if data.lstrip()[:1] == b"{" else ".xml"
+        suffix = ".xml"
+        if data.lstrip()[:1] == b"{":
+            suffix = ".json"
         if kind:
             suffix = IMAGE_FORMATS[kind][0][0]
         ctx.meta[_STDIN] = _pipe_file(ctx, f"stdin{suffix}")

@@ -77,12 +77,16 @@ class Program(cloup.Group):
         except click.ClickException as error:
             message = error.format_message()
             if isinstance(error, click.UsageError) and error.ctx:
-                stop = "" if message.endswith((".", "?", ")")) else "."
+                stop = "."
+                if message.endswith((".", "?", ")")):
+                    stop = ""
                 message += f"{stop} See '{error.ctx.command_path} --help'."
         except MemoryError:
             message = "not enough memory for an image of this size"
         except OSError as error:
-            message = f"{error.filename}: {error.strerror}" if error.filename else str(error)
+            message = f"{error.filename}: {error.strerror}"
+            if not error.filename:
+                message = str(error)
         except LightFieldError as error:
             message = str(error)
         echo(f"{self.name}: {' '.join(message.split())}", err=True)
@@ -126,10 +130,14 @@ class _Command(cloup.Command):
     def invoke(self, ctx: click.Context) -> Any:
         for path in ctx.meta.get(INPUTS, ()):
             if not path.exists():
-                names = os.listdir(path.parent) if path.parent.is_dir() else []
+                names = []
+                if path.parent.is_dir():
+                    names = os.listdir(path.parent)
                 similar = get_close_matches(path.name, names, 2)
                 hint = " or ".join(str(path.with_name(name)) for name in similar)
-                ending = f"; did you mean {hint}?" if hint else ""
+                ending = ""
+                if hint:
+                    ending = f"; did you mean {hint}?"
                 raise click.ClickException(f"{path}: does not exist{ending}")
             if not (path.is_file() or path.is_dir()):
                 raise click.ClickException(

@@ -146,11 +146,14 @@ def name_file_in_errors(path: str | os.PathLike[str]) -> Iterator[None]:
 
 
 def _built_in(value: Any) -> Any:
-    return str(value) if isinstance(value, os.PathLike) else value.tolist()
+    if isinstance(value, os.PathLike):
+        return str(value)
+    return value.tolist()
 
 
 def _text(value: Any, indent: int = 0) -> str:
-    value = value.tolist() if hasattr(value, "tolist") else value
+    if hasattr(value, "tolist"):
+        value = value.tolist()
     if isinstance(value, Mapping):
         return f"\n{' ' * indent}".join(
             f"{key.replace('_', ' ')} {_text(item)}" for key, item in value.items()
@@ -159,4 +162,6 @@ def _text(value: Any, indent: int = 0) -> str:
         return "  ".join(map(_text, value))
     if value is None or (isinstance(value, float) and not math.isfinite(value)):
         return "unknown"
-    return f"{value:.5g}" if isinstance(value, float) else str(value)
+    if isinstance(value, float):
+        return f"{value:.5g}"
+    return str(value)
