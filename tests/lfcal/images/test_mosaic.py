@@ -29,9 +29,7 @@ def _filtered(image, mosaic):
     return out
 
 
-@pytest.mark.parametrize(
-    ("mosaic", "stated"), [("RGGB", True), ("BGGR", False), ("GRBG", False), ("GBRG", True)]
-)
+@pytest.mark.parametrize(("mosaic", "stated"), [("RGGB", True), ("GRBG", False)])
 def test_white_image_behind_a_mosaic_places_centres_within_three_thousandths(
     whites, mosaic, stated
 ):
@@ -44,6 +42,7 @@ def test_white_image_behind_a_mosaic_places_centres_within_three_thousandths(
     assert any("red and blue are a guess" in warning for warning in camera.warnings) != stated
     exchanged = mosaic.translate(str.maketrans("RB", "BR"))
     assert camera.mosaic in ((mosaic,) if stated else (mosaic, exchanged))
+    assert find_mosaic(_filtered(image, exchanged)) in (mosaic, exchanged)
 
 
 def test_scene_behind_a_mosaic_places_centres_within_a_twentieth_pixel(house):

@@ -13,7 +13,7 @@ from lfcal.detection import downscale
 from lfcal.runtime.errors import CalibrationError
 from lfcal.white_fit import large
 
-_SIZE = (1300, 1000)
+_SIZE = (1100, 850)
 
 
 @pytest.fixture
@@ -82,33 +82,33 @@ def test_very_large_image_is_calibrated_on_parts_of_it(bent, in_parts):
 def test_dark_part_of_a_very_large_image_is_reported_as_defects(in_parts):
     truth = white_images.WhiteImage("square", 10.1, 1.0, 30.0, size=_SIZE)
     image = truth.image()
-    image[:, 750:] //= 200
+    image[:, 640:] //= 200
     camera = lfcal.calibrate(image)
     assert _error(camera, truth) < 0.01
     centres = camera.lattice.points(camera.defects.lenses)
-    assert len(centres) == pytest.approx(1000 * 550 / 10.1**2, rel=0.05)
-    assert centres[:, 0].min() > 740
+    assert len(centres) == pytest.approx(850 * 460 / 10.1**2, rel=0.05)
+    assert centres[:, 0].min() > 630
 
 
 def test_array_beside_the_middle_of_a_very_large_image_is_found(in_parts):
     truth = white_images.WhiteImage("hexagonal", 9.3, 3.0, 30.0, size=_SIZE)
     image = truth.image()
-    image[:, 480:] = 0
+    image[:, 400:] = 0
     assert _error(lfcal.calibrate(image), truth) < 0.03
 
 
 def test_scene_with_an_even_middle_is_no_white_image(found_lattices):
     truth = white_images.WhiteImage("hexagonal", 14.3, 3.0, 40.0, size=_SIZE)
     rng = np.random.default_rng(0)
-    shown = 0.1 + 0.9 * rng.random((100, 130)).repeat(10, 0).repeat(10, 1)
-    shown[300:700, 400:900] = 0.7
+    shown = 0.1 + 0.9 * rng.random((85, 110)).repeat(10, 0).repeat(10, 1)
+    shown[250:600, 340:760] = 0.7
     # Every lens shows its surroundings at a patch size of -0.3 pitches.
     lattice = lfcal.Lattice(truth.origin, truth.basis, _SIZE, 7.0)
     y, x = np.mgrid[: _SIZE[1], : _SIZE[0]]
     pixels = np.stack([x, y], -1).reshape(-1, 2)
     centres = lattice.points(np.rint(lattice.to_index(pixels)))
     column, row = np.rint(centres + (pixels - centres) / 0.3).astype(int).T
-    scene = shown[np.clip(row, 0, 999), np.clip(column, 0, 1299)].reshape(x.shape)
+    scene = shown[np.clip(row, 0, 849), np.clip(column, 0, 1099)].reshape(x.shape)
     camera = lfcal.calibrate((truth.image() * scene).astype(np.uint16))
     assert not any(found_lattices)
     assert camera.source == "scene"
