@@ -8,7 +8,6 @@ import click
 
 from ..runtime import command_line as cl
 from ..runtime.output_file import check_output
-from .inputs import INPUT
 
 __all__ = ["assess"]
 
@@ -21,9 +20,11 @@ _UM = cl.Quantity(after="[uµ]m")
     "lfcal assess white.png",
     "lfcal assess white.png scene.png --f-number 4 --pixel 5.5 -o page.html",
 )
-@click.argument("white", type=INPUT)
-@click.argument("scene", type=INPUT, required=False)
-@cl.option("-c --camera", INPUT, "Camera file made from WHITE, which is not calibrated again then.")
+@click.argument("white", type=cl.INPUT)
+@click.argument("scene", type=cl.INPUT, required=False)
+@cl.option(
+    "-c --camera", cl.INPUT, "Camera file made from WHITE, which is not calibrated again then."
+)
 @cl.option(
     "--f-number",
     cl.Quantity("f *[/=]"),
@@ -40,7 +41,7 @@ _UM = cl.Quantity(after="[uµ]m")
     "Largest value that pixels can have, 4095 of 12 bits; dim flats do not show it.",
     "N",
 )
-@cl.option("-o --output", cl.OutputPath(), "Page with a drawing of each figure.", "PAGE.html")
+@cl.output_option("PAGE.html", "Page with a drawing of each figure.", required=False)
 @cl.report_options
 def assess(report: cl.Report, given: Any) -> int:
     """Tell from the white image WHITE how the microlens array is mounted, and what to turn.

@@ -13,17 +13,14 @@ from ..runtime import command_line as cl
 from ..runtime.image_formats import MOSAICS
 from ..runtime.output_file import check_output
 from .figures import describe, summarise
-from .inputs import INPUT, SIZE
 
 if TYPE_CHECKING:
     from ..camera.calibration import Calibration
 
 __all__ = ["calibrate", "lattice"]
 
-_CAMERA = cl.option(
-    "-o --output", cl.OutputPath(".json"), "Camera file to write.", "CAMERA.json", required=True
-)
-_FILES = (_CAMERA, cl.option("--dark", INPUT, "Dark frame that is subtracted from the images."))
+_CAMERA = cl.output_option("CAMERA.json", "Camera file to write.", ".json")
+_FILES = (_CAMERA, cl.option("--dark", cl.INPUT, "Dark frame that is subtracted from the images."))
 _KNOWN = (
     cl.option(
         "--kind",
@@ -53,18 +50,8 @@ _KNOWN = (
         default=None,
     ),
 )
-_READING = (
-    cl.option(
-        "--page",
-        click.IntRange(0),
-        "Which picture of a TIFF of several, or frame of a video, from 0.",
-        "N",
-    ),
-    cl.option("--size", SIZE, "Of raw video (.yuv), if its name does not have it."),
-    cl.option("--pixel-format", str, "Of raw video: yuv420p10, yuv444p, ...", "FORMAT"),
-)
 _LATTICE = (
-    cl.option("--size", SIZE, "Size of the flats [px].", required=True),
+    cl.option("--size", cl.SIZE, "Size of the flats [px].", required=True),
     cl.option("--pitch", float, "Distance between neighbouring centres [px].", "PX", required=True),
     cl.option(
         "--arrangement",
@@ -99,7 +86,7 @@ def _write(report: cl.Report, camera: Calibration, output: Path, *lines: str) ->
 @cl.several_inputs("images", "IMAGE...")
 @cloup.option_group("Files", *_FILES)
 @cloup.option_group("What is known", *_KNOWN)
-@cloup.option_group("Reading IMAGE", *_READING)
+@cloup.option_group("Reading IMAGE", *(cl.option(*row) for row in cl.READING.values()))
 @cl.report_options
 def calibrate(report: cl.Report, given: Any) -> None:
     """Find the microlenses on IMAGE and write them as a camera file.

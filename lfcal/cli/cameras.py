@@ -10,13 +10,13 @@ import click
 from ..runtime import command_line as cl
 from ..runtime.output_file import check_output
 from .figures import describe, summarise
-from .inputs import INPUT, SIZE_OPTIONS, output_option, read_camera, read_image, read_size
+from .inputs import SIZE_OPTIONS, read_camera, read_image, read_size
 
 __all__ = ["compare", "convert", "info"]
 
 
 @cl.command("lfcal info camera.json", "lfcal info calibration.xml --image flat.png")
-@click.argument("camera", type=INPUT)
+@click.argument("camera", type=cl.INPUT)
 @cl.with_options(*SIZE_OPTIONS)
 @cl.report_options
 def info(report: cl.Report, given: Any) -> None:
@@ -27,8 +27,8 @@ def info(report: cl.Report, given: Any) -> None:
 
 
 @cl.command("lfcal compare monday.json friday.json")
-@click.argument("a", type=INPUT)
-@click.argument("b", type=INPUT)
+@click.argument("a", type=cl.INPUT)
+@click.argument("b", type=cl.INPUT)
 @cl.with_options(*SIZE_OPTIONS)
 @cl.report_options
 def compare(report: cl.Report, given: Any) -> None:
@@ -75,8 +75,8 @@ def compare(report: cl.Report, given: Any) -> None:
     "lfcal convert camera.json --image flat.png -o camera.cfg",
     "lfcal convert centres.csv --image white.png -o camera.json",
 )
-@click.argument("camera", type=INPUT)
-@output_option("FILE", ".xml, .cfg, .csv or .json to write.")
+@click.argument("camera", type=cl.INPUT)
+@cl.output_option("FILE", ".xml, .cfg, .csv or .json to write.")
 @cl.option(
     "--mode",
     click.Choice(["telescopic", "binocular"]),

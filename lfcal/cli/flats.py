@@ -11,15 +11,15 @@ from ..runtime import command_line as cl
 from ..runtime.image_formats import TIFF_SUFFIXES
 from ..runtime.output_file import atomic_write, check_output
 from .figures import describe, summarise
-from .inputs import INPUT, output_option, read_camera
+from .inputs import read_camera
 
 __all__ = ["flatten", "show"]
 
 
 @cl.command("lfcal show camera.json --image white.png -o show.png")
-@click.argument("camera", type=INPUT)
-@cl.option("--image", INPUT, "A white image or scene capture of that camera.", required=True)
-@output_option("SHOW.png", "Picture to write.")
+@click.argument("camera", type=cl.INPUT)
+@cl.option("--image", cl.INPUT, "A white image or scene capture of that camera.", required=True)
+@cl.output_option("SHOW.png", "Picture to write.")
 @cl.report_options
 def show(report: cl.Report, given: Any) -> None:
     """Draw the circles of CAMERA over the centre and the corners of an image."""
@@ -52,9 +52,9 @@ def show(report: cl.Report, given: Any) -> None:
 
 
 @cl.command("lfcal flatten flat.png -c camera.json -o even.tif")
-@click.argument("flat", type=INPUT)
-@cl.option("-c --camera", INPUT, "Camera file with a gain map.", required=True)
-@output_option("FLAT.tif", "Flattened flat to write.")
+@click.argument("flat", type=cl.INPUT)
+@cl.option("-c --camera", cl.INPUT, "Camera file with a gain map.", required=True)
+@cl.output_option("FLAT.tif", "Flattened flat to write.")
 @cl.report_options
 def flatten(report: cl.Report, given: Any) -> None:
     """Light the microimages of FLAT evenly, by the gain map of CAMERA.

@@ -15,28 +15,17 @@ if TYPE_CHECKING:
     from ..camera.calibration import Calibration
 
 __all__ = [
-    "INPUT",
-    "SIZE",
     "SIZE_OPTIONS",
-    "output_option",
     "read_camera",
     "read_image",
     "read_size",
 ]
 
-#: Type of an argument that names a file to read.
-INPUT = cl.InputPath()
-#: Type of an option that is the size of a flat.
-SIZE = cl.Pair("WxH", "2048x1536")
 #: Options for camera files that do not hold the size of the flats.
 SIZE_OPTIONS = (
-    cl.option("--size", SIZE, "Size of the flats [px], for files without it (.xml, .csv)."),
-    cl.option("--image", INPUT, "An image of that size, instead of --size."),
+    cl.option("--size", cl.SIZE, "Size of the flats [px], for files without it (.xml, .csv)."),
+    cl.option("--image", cl.INPUT, "An image of that size, instead of --size."),
 )
-
-
-def output_option(metavar: str, text: str) -> Any:
-    return cl.option("-o --output", cl.OutputPath(), text, metavar, required=True)
 
 
 def read_image(given: Any) -> NDArray[Any]:

@@ -42,8 +42,8 @@ _BOARD = (
     ),
 )
 _METRIC = (
-    cl.option("-c --camera", cl.InputPath(), "Camera file of 'lfcal calibrate'.", required=True),
-    cl.option("-o --output", _OUTPUT, "Camera file to write.", "CAMERA.json", required=True),
+    cl.option("-c --camera", cl.INPUT, "Camera file of 'lfcal calibrate'.", required=True),
+    cl.output_option("CAMERA.json", "Camera file to write."),
     *_BOARD,
     cl.option(
         "--pixel",
@@ -161,7 +161,7 @@ def metric(report: cl.Report, given: Any) -> None:
     "lfcal board --board 9x6 --square 12 -o board.pdf",
     "lfcal board --board 9x6 --square 15 --marker 11 --pattern charuco -o board.svg",
 )
-@cl.option("-o --output", _OUTPUT, "Page to write.", "BOARD.pdf|.svg", required=True)
+@cl.output_option("BOARD.pdf|.svg", "Page to write.")
 @cl.with_options(*_BOARD)
 @cl.report_options
 def board(report: cl.Report, given: Any) -> None:

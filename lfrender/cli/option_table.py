@@ -13,9 +13,7 @@ from ..runtime.choices import Detail, PoseFormat, Preset
 
 __all__ = ["TABLE"]
 
-_FILE = cl.InputPath()
 _OUTPUT = cl.OutputPath()
-_SIZE = cl.Pair("WxH", "2048x1536")
 _GRID = cl.Pair("ROWSxCOLUMNS", "5x5")
 _PRESET = click.Choice(get_args(Preset))
 _POSES = click.Choice(get_args(PoseFormat))
@@ -32,14 +30,14 @@ TABLE = {
     # Of the capture.
     "camera": _row(
         "-c --camera",
-        _FILE,
+        cl.INPUT,
         "Camera file of lfcal, or a published calibration (.xml, .cfg). Without it, FLAT itself "
         "is calibrated.",
     ),
-    "white": _row("--white", _FILE, "Calibrate from this white image of the same camera."),
-    "depth_file": _row("--depth depth_file", _FILE, "Depth map made by 'lfrender analyze'."),
+    "white": _row("--white", cl.INPUT, "Calibrate from this white image of the same camera."),
+    "depth_file": _row("--depth depth_file", cl.INPUT, "Depth map made by 'lfrender analyze'."),
     "dark": _row(
-        "--dark", _FILE, "Dark frame that is subtracted from FLAT and from the white image."
+        "--dark", cl.INPUT, "Dark frame that is subtracted from FLAT and from the white image."
     ),
     "preset": _row(
         "--preset", _PRESET, "How much time the depth analysis may take. [default: balanced]"
@@ -57,14 +55,7 @@ TABLE = {
         "Colour filters of the top left 2 x 2 pixels of a raw mosaic, if the camera file does "
         "not have them.",
     ),
-    "page": _row(
-        "--page",
-        click.IntRange(0),
-        "Which picture of a TIFF of several, or frame of a video, from 0.",
-        "N",
-    ),
-    "size": _row("--size", _SIZE, "Of raw video (.yuv), if its name does not have it."),
-    "pixel_format": _row("--pixel-format", str, "Of raw video: yuv420p10, yuv444p, ...", "FORMAT"),
+    **{name: (row, {}) for name, row in cl.READING.items()},
     # What to draw.
     "patch_size": _row(
         "--patch-size",
@@ -144,7 +135,7 @@ TABLE = {
         default=0.7,
         show_default=True,
     ),
-    "resize": _row("--resize", _SIZE, "Size of the views [px]."),
+    "resize": _row("--resize", cl.SIZE, "Size of the views [px]."),
     "grid_format": _row(
         "--format suffix",
         str,
@@ -249,7 +240,7 @@ TABLE = {
     ),
     "optics": _row(
         "--optics",
-        _FILE,
+        cl.INPUT,
         "Focal length and distances [mm] of the camera: distances in metres, the point cloud and "
         "--poses too. "
         "By default those of the camera file, if 'lfcal metric' has measured them.",

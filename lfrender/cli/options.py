@@ -26,7 +26,6 @@ __all__ = [
     "connect_cluster",
     "declare",
     "option_errors",
-    "output_option",
 ]
 
 #: Options of all commands on captures, by their titles in the help.
@@ -47,15 +46,6 @@ def declare(name: str, inputs: str = "FLAT", hidden: bool = False) -> Callable[[
     return cl.option(names, kind, text.replace("FLAT", inputs), **more)
 
 
-def output_option(metavar: str, text: str, piped: str = "", **more: Any) -> Callable[[Any], Any]:
-    """The option `--output`; `piped` is the format on stdout with `-`, empty if refused."""
-    if piped:
-        text += f" With -, {piped[1:].upper()} to stdout."
-    return cl.option(
-        "-o --output", cl.OutputPath(piped), text, metavar, **{"required": True, **more}
-    )
-
-
 def capture_command(
     *examples: str,
     output: tuple[str, ...] = (),
@@ -66,7 +56,7 @@ def capture_command(
 ) -> Callable[[Any], click.Command]:
     """Make a command on captures; it is called with a `CaptureInput` and its own options.
 
-    These are `output`, as for `output_option`, and `own`: titles in the help, with names of options
+    These are `output`, as for `command_line.output_option`, and `own`: titles in the help, with names of options
     in the table. `refused` are options of captures that make no sense, with the reason to say. A
     command that takes `several` inputs calls them so, and its camera is calibrated from the first
     of the `inputs`. `examples` are shown in the help.
@@ -91,7 +81,7 @@ def capture_command(
         decorated: Any = cl.report_options(run)
         decorated = cl.with_options(*(declare(name, hidden=True) for name in reasons))(decorated)
         shown: dict[str, list[Callable[[Any], Any]]] = {
-            "Files": [output_option(*output)] if output else []
+            "Files": [cl.output_option(*output)] if output else []
         }
         for title, names in (own or {}).items():
             shown.setdefault(title, []).extend(map(declare, names.split()))
@@ -103,7 +93,7 @@ def capture_command(
         for title, some in reversed(shown.items()):
             if some:
                 decorated = cloup.option_group(title.replace("FLAT", inputs), *some)(decorated)
-        argument = click.argument("flat", type=cl.InputPath())
+        argument = click.argument("flat", type=cl.INPUT)
         if several:
             argument = cl.several_inputs("inputs", several)
         return cl.command(*examples)(argument(decorated))

@@ -16,7 +16,7 @@ from lfcal.runtime.output_file import check_output
 
 from . import figures
 from .inputs import CaptureInput
-from .options import capture_command, output_option
+from .options import capture_command
 
 if TYPE_CHECKING:
     from lfcal import Calibration
@@ -149,7 +149,7 @@ def report(capture: CaptureInput, given: Any) -> None:
 
 
 @cl.command("lfrender demo -o demo")
-@output_option(
+@cl.output_option(
     "FOLDER",
     "Folder for pictures and page.",
     required=False,

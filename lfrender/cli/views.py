@@ -14,7 +14,7 @@ from lfcal.runtime.output_file import check_folder, check_output
 
 from . import figures
 from .inputs import MOVING, CaptureInput
-from .options import at_most_one, capture_command, declare, option_errors, output_option
+from .options import at_most_one, capture_command, declare, option_errors
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -308,7 +308,7 @@ def _write_posed(
     "lfrender lenslet flat.png -c flat.json -o views",
 )
 @cl.several_inputs("inputs", "INPUT...")
-@output_option(
+@cl.output_option(
     "FLAT|FOLDER",
     "Flat to write, .png or .tif, and beside it its camera file, .json; or folder of views.",
 )

@@ -1,12 +1,24 @@
 """What command lines are made of: programs, parameters, progress and figures, Ctrl-C."""
 
-from .parameters import ExposureValue, InputPath, OutputPath, Pair, Quantity, several_inputs
-from .program import Program, command, option, report_options, with_options
+from .parameters import ExposureValue, OutputPath, Pair, Quantity, several_inputs
+from .program import (
+    INPUT,
+    READING,
+    SIZE,
+    Program,
+    command,
+    option,
+    output_option,
+    report_options,
+    with_options,
+)
 from .report import Report, echo, name_file_in_errors
 
 __all__ = [
+    "INPUT",
+    "READING",
+    "SIZE",
     "ExposureValue",
-    "InputPath",
     "OutputPath",
     "Pair",
     "Program",
@@ -16,6 +28,7 @@ __all__ = [
     "echo",
     "name_file_in_errors",
     "option",
+    "output_option",
     "report_options",
     "several_inputs",
     "with_options",

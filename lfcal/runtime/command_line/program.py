@@ -17,10 +17,20 @@ import cloup
 
 from ..errors import LightFieldError
 from .interrupts import INTERRUPTED, handle_interrupts, leave_if_interrupted
-from .parameters import INPUTS
+from .parameters import INPUTS, InputPath, OutputPath, Pair
 from .report import Report, echo
 
-__all__ = ["Program", "command", "option", "report_options", "with_options"]
+__all__ = [
+    "INPUT",
+    "READING",
+    "SIZE",
+    "Program",
+    "command",
+    "option",
+    "output_option",
+    "report_options",
+    "with_options",
+]
 
 
 class Program(cloup.Group):
@@ -158,6 +168,31 @@ def option(
     """`click.option` with all its names, the type of its value (bool: a flag), and its help."""
     more |= {"is_flag": True} if kind is bool else {"type": kind}
     return click.option(*names.split(), help=text, metavar=metavar, **more)
+
+
+def output_option(metavar: str, text: str, piped: str = "", **more: Any) -> Callable[[Any], Any]:
+    """The option `--output`; `piped` is the format on stdout with `-`, empty if refused."""
+    if piped:
+        text += f" With -, {piped[1:].upper()} to stdout."
+    more.setdefault("required", True)
+    return option("-o --output", OutputPath(piped), text, metavar, **more)
+
+
+#: Type of an argument that names a file to read.
+INPUT = InputPath()
+#: Type of an option that is the size of a flat.
+SIZE = Pair("WxH", "2048x1536")
+#: Options of commands that read flats, in the form of `option`, by the name of the value.
+READING: dict[str, tuple[Any, ...]] = {
+    "page": (
+        "--page",
+        click.IntRange(0),
+        "Which picture of a TIFF of several, or frame of a video, from 0.",
+        "N",
+    ),
+    "size": ("--size", SIZE, "Of raw video (.yuv), if its name does not have it."),
+    "pixel_format": ("--pixel-format", str, "Of raw video: yuv420p10, yuv444p, ...", "FORMAT"),
+}
 
 
 def with_options(*options: Callable[[Any], Any]) -> Callable[[Any], Any]:

@@ -93,9 +93,7 @@ def test_white_level_is_that_of_the_least_number_of_bits(dtype, largest, level):
     assert estimate_white_level([np.array([[0, largest]], dtype)]) == level
 
 
-def test_overexposed_white_image_is_named_with_the_share_of_clipped_pixels(
-    drawn, calibrated_white
-):
+def test_overexposed_white_image_is_named_with_the_share_of_clipped_pixels(drawn, calibrated_white):
     truth = drawn("square", 24.3, 31.0, 34.0, size=(500, 400))
     light = truth.light() + truth.noise * np.random.default_rng(1).standard_normal((400, 500))
     image = np.rint(np.clip(2.2 * light, 0, 1) * 255).astype(np.uint8)

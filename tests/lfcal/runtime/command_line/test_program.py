@@ -40,8 +40,8 @@ def program(error=None):
     tool = cl.Program("tool", others=("other", "cut"))
 
     @cl.command("tool one flat.png")
-    @click.argument("flat", type=cl.InputPath())
-    @cl.option("--white", cl.InputPath(), "A file.")
+    @click.argument("flat", type=cl.INPUT)
+    @cl.option("--white", cl.INPUT, "A file.")
     @cl.option("--size", cl.Pair("WxH", "20x10"), "A size.")
     @cl.report_options
     def one(report, given):
