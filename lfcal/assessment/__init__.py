@@ -1,3 +1,1 @@
-"""Assess how a microlens array is mounted: what to turn, from one white image, with errors and
-verdicts in words.
-"""
+"""Assess from one white image how a microlens array is mounted, and what to turn."""

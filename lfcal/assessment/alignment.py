@@ -34,9 +34,7 @@ _TILT = np.array(
 
 
 class Alignment(NamedTuple):
-    """Rotation clockwise on the screen, of the rows from those of pixels, and gradient of the
-    pitch.
-    """
+    """Rotation of the rows of lenses, clockwise on the screen, and gradient of the pitch."""
 
     shape: str
     rows: str
@@ -85,8 +83,9 @@ def measure_alignment(camera: Calibration) -> Alignment:
 
 
 def _fit_centres(camera: Calibration) -> tuple[Array, Array, Array, float] | None:
-    """Basis in the middle of the flat with variances (2,) of its vectors, pitch gradient (2,) [px]
-    and its error.
+    """Fit the basis in the middle of the flat and the gradient of the pitch.
+
+    Returns the basis, the variances (2,) of its vectors, the gradient (2,) [px] and its error.
 
     Means over tiles of the flat are fitted, so that errors which neighbours share count as such;
     None of too few.

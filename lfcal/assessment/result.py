@@ -126,8 +126,10 @@ class Assessment:
         return own | {f"scene, {name}": finding for name, finding in self.scene.items()}
 
     def grouped(self) -> list[tuple[str, Finding]]:
-        """All findings by their names; those that one reason kept from being measured are one, with
-        all their names.
+        """All findings by their names.
+
+        Findings that were not measured for one and the same reason form one entry with all their
+        names.
         """
         groups: dict[str, tuple[list[str], Finding]] = {}
         for name, finding in self.findings.items():

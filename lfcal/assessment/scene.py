@@ -21,8 +21,9 @@ __all__ = ["assess_scene"]
 
 
 def assess_scene(scene: NDArray[Any], camera: Calibration, top: float | None) -> dict[str, Finding]:
-    """Findings on a scene, given the camera as its white image shows it; `top` is as for
-    `find_exposure`.
+    """Assess a scene with the camera that its white image shows.
+
+    `top` is the largest value that pixels can have, as for `find_exposure`.
     """
     found = {"place": _find_shift(scene, camera), "exposure": find_exposure(scene, top)}
     picture = sqrt_luminance(scene)

@@ -91,8 +91,9 @@ class _Views:
         self.distances = np.moveaxis(far.astype(np.float32), 2, 0)
 
     def draw(self, flat: Array, ratio: float | Array) -> tuple[Array, Array, Array]:
-        """Mean, unbiased variance and number of the lenses that see each point of patch size
-        `ratio` D.
+        """Mean, unbiased variance and number of the lenses that see each point.
+
+        `ratio` is the patch size at the points [pitch].
         """
         total, square, count = np.zeros((3, *self.shape), np.float32)
         no_map: Any = None  # OpenCV takes both coordinates from the first map

@@ -1,5 +1,6 @@
-"""Tables of microimage centres: ours, `i,j,x,y,radius,type`, and those of makers, with lines and
-columns in any order.
+"""Tables of microimage centres: our own format, and tables of makers.
+
+Our columns are `i,j,x,y,radius,type`. Tables of makers have lines and columns in any order.
 
 Where a table has no indices `i, j` they are counted from neighbour to neighbour, which no
 distortion misleads; lattice and distortion are robust least squares through the centres.
@@ -45,8 +46,9 @@ _LEAST_REPEATING = 0.99
 
 
 def parse_centre_table(text: str, size: tuple[int, int], y_up: bool = False) -> Calibration:
-    """The lattice through the centres of a table, whose y counts from the bottom of the flat if
-    `y_up`.
+    """Fit a lattice to the centres of a table.
+
+    With `y_up`, y counts from the bottom of the flat.
     """
     try:
         table = _read_columns(text)
@@ -94,8 +96,9 @@ def parse_centre_table(text: str, size: tuple[int, int], y_up: bool = False) -> 
 
 
 def format_centre_table(calibration: Calibration) -> str:
-    """The columns `i, j, x, y, radius`, and `type` if known, of all microimages whose centre lies
-    on the flat.
+    """Write the microimages whose centres lie on the flat as a table.
+
+    The columns are `i, j, x, y, radius`, and `type` if the lens types are known.
     """
     lattice = calibration.lattice
     types = calibration.lens_types

@@ -1,5 +1,4 @@
-"""Camera files: reading any known format, recognised by its content, and writing the one that a
-suffix names.
+"""Camera files: read any known format by its content, write the format of a suffix.
 
 Published files hold lattices that others have found. Some contradict themselves (a rotation given
 twice), some are good to a few pixels only: what is read from them carries warnings, and calibrating

@@ -38,8 +38,9 @@ Mode = Literal["telescopic", "binocular"]
 
 
 class PublishedNumbers(dict[str, str]):
-    """The texts of a file by their names, read as finite numbers; CameraFileError with the name
-    where one is none.
+    """Texts of a file by their names, read as finite numbers.
+
+    CameraFileError, with the name, if a text is no finite number.
     """
 
     def number(self, name: str, above: float = -np.inf) -> float:
@@ -67,8 +68,9 @@ class PublishedNumbers(dict[str, str]):
 def calibration_from_corners(
     corners: list[NDArray[np.float64]], pitch: float, upright: bool, image_size: tuple[int, int]
 ) -> Calibration:
-    """Hexagonal lattice through the outermost centres: left top, right top, left bottom, right
-    bottom.
+    """Hexagonal lattice through the centres of the four outermost microimages.
+
+    Their order is left top, right top, left bottom, right bottom.
 
     `upright` lattices have rows of nearest neighbours that run down the flat.
     """
@@ -190,8 +192,9 @@ def format_key_value(calibration: Calibration, mode: Mode | None = None) -> str:
 def _outermost(
     lattice: Lattice, middle: Vector, across: Vector, down: Vector
 ) -> tuple[Vector, int, int]:
-    """The whole microimage at the top left, and how many steps `across` and `down` lead to the last
-    whole ones: readers take the first one for the first of its row and begin with its row.
+    """The first whole microimage, and the steps `across` and `down` to the last whole ones.
+
+    Readers take it for the first one of its row, and begin with its row.
     """
     low = lattice.pitch / 2 - 0.5
     high = np.array(lattice.image_size) - 0.5 - lattice.pitch / 2
@@ -220,8 +223,7 @@ def _mode_of_types(calibration: Calibration) -> Mode | None:
 def _near_type(
     calibration: Calibration, mode: str | None, middle: Vector, upright: bool
 ) -> int | None:
-    """Number that such files give the lens type that is focused nearest, None where it is not
-    known.
+    """Number of the lens type that is focused nearest, None if it is not known.
 
     They count the types along the first row of whole microimages, which runs down the flat if
     `upright`.

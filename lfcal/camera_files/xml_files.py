@@ -1,5 +1,6 @@
-"""The XML formats of published camera files: `RayCalibData`, which is also written, and
-`TSPCCalibData`.
+"""XML formats of published camera files.
+
+`RayCalibData` is read and written, `TSPCCalibData` is read.
 
 In them y points up and angles turn counter-clockwise on the screen.
 """
@@ -115,8 +116,9 @@ def _parse_raytrix(
 
 
 def _types_at(offsets: NDArray[np.float64], lattice: Lattice) -> LensTypes | None:
-    """Types of a hexagonal array from the positions (3, 2) [px] of one lens of each relative to the
-    origin.
+    """Lens types of a hexagonal array from one lens of each type.
+
+    The positions (3, 2) [px] of these lenses are relative to the origin.
     """
     index = offsets @ np.linalg.inv(lattice.basis)
     numbers = _type_numbers(np.rint(index).astype(int), lattice)
@@ -130,8 +132,9 @@ def _types_at(offsets: NDArray[np.float64], lattice: Lattice) -> LensTypes | Non
 
 
 def _type_numbers(index: NDArray[np.int64], lattice: Lattice) -> NDArray[np.int64]:
-    """(...) 0, 1 or 2 for indices (..., 2) of a hexagonal lattice: the one way in which no
-    neighbours are alike.
+    """Type 0, 1 or 2 (...) of the lenses with indices (..., 2) of a hexagonal lattice.
+
+    This is the only arrangement in which all neighbours have different types.
     """
     along = -1
     if ((lattice.steps.sum(1)) % 3 != 0).all():
@@ -140,8 +143,9 @@ def _type_numbers(index: NDArray[np.int64], lattice: Lattice) -> NDArray[np.int6
 
 
 def _angle_between(a: float, b: float) -> float:
-    """Smallest difference of two angles [rad], which repeat every 60 degrees in a hexagonal
-    lattice.
+    """Smallest difference of two angles [rad] of a hexagonal lattice.
+
+    A hexagonal lattice repeats every 60 degrees.
     """
     return float(abs((a - b + np.pi / 6) % (np.pi / 3) - np.pi / 6))
 
@@ -185,8 +189,9 @@ def _type_elements(
     middle: NDArray[np.int64],
     to_lens: NDArray[np.float64],
 ) -> Iterator[str]:
-    """Where three types repeat, a lens of each beside `middle` (2,), and depths, which part half
-    way in `s`.
+    """XML elements of three lens types: one lens of each, and its range of depths.
+
+    The lenses are those nearest to `middle` (2,). The ranges meet half-way in `s`.
     """
     steps = np.vstack([np.zeros((1, 2), dtype=int), lattice.steps])
     if types is None or types.focus is None or types.count != 3 or len(lattice.steps) != 6:

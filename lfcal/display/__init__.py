@@ -1,3 +1,1 @@
-"""How well a calibration fits: against the pixels of a flat, against another calibration, and as a
-picture.
-"""
+"""Check a calibration on a flat, compare two calibrations, draw a calibration."""

@@ -40,8 +40,9 @@ class _Match(NamedTuple):
 
 
 def confirms_camera(calibration: Calibration, small: Lattice, picture: Singles) -> bool:
-    """Whether a picture (h, w), the root of the luminance of a flat, certainly shows the
-    microimages of a camera at their places.
+    """Whether a picture certainly shows the microimages of a camera at their places.
+
+    `picture` (h, w) is the root of the luminance of a flat.
 
     `small` is the lattice of the camera on the picture, which may be downscaled.
     """
@@ -88,8 +89,9 @@ def _match_parts(gain: GainMap, lattice: Lattice, small: Lattice, picture: Singl
 
 
 def _expected_cell(gain: GainMap, lattice: Lattice, centre: Floats, bins: int) -> Floats:
-    """(bins, bins) root of the light in the cell of the middle lens, which lies at `centre` (2,)
-    [cells].
+    """Root of the light (bins, bins) in the cell of the middle lens.
+
+    `centre` (2,) [cells] is the place of the lens.
     """
     x, y = np.ascontiguousarray(bin_offsets(lattice.basis, bins, centre).reshape(-1, 2).T)
     lens = gain.describe(lattice.points(lattice.middle[None]), lattice)

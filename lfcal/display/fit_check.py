@@ -131,8 +131,10 @@ def fit_offsets(
     misfit: Misfit | None,
     most: int,
 ) -> FitCheck:
-    """Offsets of nine places, from a fit of `most` lenses that starts at the nearer of camera and
-    found lattice.
+    """Measure the offsets of the flat from the camera at nine places.
+
+    The fit of `most` lenses starts at the lattice of the camera or at the found one, whichever is
+    nearer.
     """
     from ..gain.rows import RegionGain
 

@@ -1,5 +1,6 @@
-"""Gain map: relative illumination at every place of every microimage, compact enough for a camera
-file; and defects.
+"""Gain map: relative illumination at every place of every microimage; defects.
+
+The map is compact enough for a camera file.
 
 The light of a lens is its level times the shape of its microimage. The shape is one profile over
 the distance to the centre, stretched in each direction to the rim there, cut by a second disc where
@@ -40,8 +41,7 @@ _AVERAGED = 64
 
 @dataclass(frozen=True, eq=False)
 class GainMap(Frozen):
-    """Relative illumination of a camera, 1 at the brightest place of the brightest part of the
-    field.
+    """Relative illumination: 1 at the brightest place of the brightest part of the field.
 
     Polynomials of the field have the terms `1, X, Y, X^2, X*Y, Y^2, ...` of the place `(X, Y)` of a
     lens, measured from the middle of the flat in half diagonals.
@@ -182,8 +182,9 @@ class GainMap(Frozen):
         return Shape(self.profile, self.step, cut)
 
     def usable_radius(self, lattice: Lattice) -> Floats:
-        """(n,) largest distance [px] within which a lens has half its light in every direction; 0
-        if it is unlit.
+        """Largest distance [px] (n,) within which a lens has half its light in all directions.
+
+        It is 0 for unlit lenses.
         """
         limit = nearest_half(lattice)
         lenses = self.describe(lattice.centres(), lattice)
@@ -219,8 +220,9 @@ class GainMap(Frozen):
         return float(np.clip(first_dark * self.step / border, 0, 1).min())
 
     def evaluate(self, lenses: Floats, lens: Integers, x: Any, y: Any) -> Floats:
-        """(3, p) at places `x, y` (p,) [px] from the centres of described lenses, in rows `lens`
-        (p,).
+        """Evaluate the map at places `x, y` (p,) [px] from the centres of described lenses.
+
+        `lens` (p,) are rows of the description. The result (3, p) is that of `relative_light`.
 
         Relative light, distance on the profile [px], share that the cutting disc leaves.
         """
@@ -244,9 +246,7 @@ class GainMap(Frozen):
         return profiles
 
     def type_rims(self, radius: float) -> Floats:
-        """(t, k) `type_light` at those rings within `radius` [px] that lie before the middle of the
-        rim.
-        """
+        """Values of `type_light` (t, k) within `radius` [px], before the middle of the rim."""
         inside = (np.arange(len(self.profile)) * self.step < radius) & (self.profile > _BEFORE_RIM)
         return self.type_light[:, inside]
 

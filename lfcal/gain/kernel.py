@@ -30,8 +30,9 @@ class Shape(NamedTuple):
 
 @njit(error_model="numpy", inline="always")
 def relative_light(dx, dy, lens, profile, step, cut):
-    """Relative light at `(dx, dy)` [px] from the centre of a lens, distance on the profile [px],
-    share not cut off.
+    """Relative light at `(dx, dy)` [px] from the centre of a lens.
+
+    Also returns the distance on the profile [px] and the share that is not cut off.
     """
     r = math.sqrt(dx * dx + dy * dy)
     stretched = r
@@ -72,8 +73,9 @@ def relative_light(dx, dy, lens, profile, step, cut):
 
 @kernel(error_model="numpy", share=lambda lens, *_: len(lens))
 def evaluate_light(begin, end, lens, dx, dy, lenses, shape, out):
-    """Write `relative_light` at places (p,) in lenses, rows `lens` of `lenses` (n, s), into `out`
-    (3, p).
+    """Write `relative_light` at places (p,) in lenses into `out` (3, p).
+
+    `lens` (p,) are rows of `lenses` (n, s).
     """
     profile = shape.profile
     step = shape.step
@@ -86,8 +88,9 @@ def evaluate_light(begin, end, lens, dx, dy, lenses, shape, out):
 
 @kernel(error_model="numpy", share=lambda flat, gain, out, *_: len(out))
 def flatten_rows(begin, end, flat, gain, out, highest):
-    """`flat` (h, w, c) divided by `gain` (h, w) where that is not NaN; rounded and clipped at
-    `highest` if above 0.
+    """Divide `flat` (h, w, c) by `gain` (h, w) where the gain is not NaN.
+
+    Values are rounded and clipped at `highest` if that is above 0.
     """
     for y in range(begin, end):
         for x in range(out.shape[1]):

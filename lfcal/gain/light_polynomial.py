@@ -23,8 +23,10 @@ _LENSES_PER_TERM = 12
 
 
 def fit_light(lights: NDArray[np.floating], centres: Floats, lattice: Lattice) -> Floats:
-    """(terms,) factors of `field_monomials` for the logarithms of the lights (n,) of lenses at
-    `centres` (n, 2) [px], of the fourth degree if there are enough lenses.
+    """Fit a polynomial of the field to the logarithms of the lights (n,) of lenses.
+
+    Returns the factors (terms,) of `field_monomials`; the degree is four if there are enough
+    lenses. The lenses are at `centres` (n, 2) [px].
     """
     some = evenly(len(lights), _LENSES)
     log = np.log(np.maximum(lights[some], 1e-12))

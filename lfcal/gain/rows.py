@@ -42,8 +42,10 @@ class RegionGain:
     def at(
         self, left: int, top: int, width: int, height: int, least_light: float = 0.25
     ) -> Singles:
-        """(height, width) gain of the region whose first pixel is `left, top`, NaN where it is
-        below `least_light` of the light of the lens: mostly noise and stray light.
+        """Gain (height, width) of the region whose first pixel is `left, top`.
+
+        It is NaN below `least_light` of the light of the lens, where noise and stray light
+        dominate.
         """
         out = np.empty((height, width), np.float32)
         _fill_gain(out, top, left, least_light, *self._model)
@@ -129,8 +131,9 @@ def _make_row_tables(lattice: Lattice, gain: GainMap) -> _RowTables:
 
 @njit(error_model="numpy")
 def _find_first_lens(y, a, b, centres):
-    """Column and row of the lens nearest to the first pixel of row `y`, by descent from lens `(a,
-    b)`.
+    """Indices of the lens nearest to the first pixel of row `y`.
+
+    The search descends from lens `(a, b)`.
     """
     while True:
         least = centres[b, a, 0] ** 2 + (centres[b, a, 1] - y) ** 2
@@ -151,8 +154,9 @@ def _find_first_lens(y, a, b, centres):
 
 @njit(error_model="numpy")
 def _find_next_lens(y, a, b, width, centres, ahead):
-    """First pixel of row `y` that is nearer to the next lens than to `(a, b)`, and column and row
-    of that lens.
+    """First pixel of row `y` that is nearer to the next lens than to lens `(a, b)`.
+
+    Also returns the indices of the next lens.
     """
     if a < 1 or b < 1 or a > centres.shape[1] - 2 or b > centres.shape[0] - 2:
         return width, a, b
@@ -178,9 +182,10 @@ def _find_next_lens(y, a, b, width, centres, ahead):
 
 @kernel(error_model="numpy", share=lambda out, *_: len(out))
 def _fill_gain(begin, end, out, top, left, least, tables, shape, profiles):
-    """Write the gain of the rows from `top` and the columns from `left` on into `out`; NaN where
-    there is less than `least` of the light of a lens; `profiles` (t, k) are those of the types of
-    lenses.
+    """Write the gain of the rows from `top` and the columns from `left` on into `out`.
+
+    Pixels with less than `least` of the light of their lens become NaN. `profiles` (t, k) are those
+    of the lens types.
     """
     lens = np.empty(tables.lenses.shape[2])
     right = left + out.shape[1]

@@ -1,5 +1,4 @@
-"""Measure the illumination of a camera from one flat: gain map, average vignetting, usable radius
-and defects.
+"""Measure the illumination of a camera on one flat: gain map, vignetting, defects.
 
 Works on the flat and its fitted lattice; `calibrate` stores the result in the calibration.
 """

@@ -1,5 +1,6 @@
-"""Find defects: pixels of a white image that differ from the gain map, and from the same place in
-other lenses.
+"""Find defective pixels of a white image.
+
+They differ from the gain map, and from the same place in other lenses.
 
 Residuals from the gain map are tested pixel by pixel, and as means over small and large squares,
 which show dust too faint for single pixels. What the map lacks, such as rims, tone curves or
@@ -40,8 +41,9 @@ _RANKS = (0.05, 0.5, 0.95)
 
 
 def find_defects(picture: Singles, lattice: Lattice, lights: LensLights) -> tuple[Defects, float]:
-    """Defects of a white image, and the share of the pixels of lit lenses that differ from the gain
-    map of `lights`.
+    """Find the defects of a white image.
+
+    Also returns the share of the pixels of lit lenses that differ from the gain map of `lights`.
 
     `picture` (h, w) is the square root of the luminance.
     """
@@ -85,8 +87,10 @@ def find_defects(picture: Singles, lattice: Lattice, lights: LensLights) -> tupl
 def _compute_residuals(
     picture: Singles, lattice: Lattice, lights: LensLights
 ) -> tuple[Singles, Singles]:
-    """(h, w) pixels less the map, in standard deviations of those that should be as bright; and
-    clipped, of mean 0.
+    """Differences (h, w) of the pixels from the gain map, in standard deviations.
+
+    The deviations are those of pixels that should be as bright. The differences are clipped and
+    have mean 0.
 
     Clipped ones are for means over squares: one bright pixel does not make a square of them a
     defect.
@@ -137,9 +141,7 @@ def _differs_from_pixels(picture: Singles, rows: Integers, columns: Integers) ->
 
 
 def _differs_from_lenses(values: Singles, places: Integers, lattice: Lattice) -> Booleans:
-    """Which `places` (n, 2) [px] have values that differ from those at the same place of lenses
-    around.
-    """
+    """Which `places` (n, 2) [px] differ from the same place in the lenses around."""
     height, width = values.shape
     reach = np.arange(-6, 6 + 1)
     steps = np.stack(np.meshgrid(reach, reach), -1).reshape(-1, 2)

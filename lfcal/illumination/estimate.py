@@ -1,5 +1,4 @@
-"""Estimate a gain map: the common shape of the microimages of a flat and its changes over the
-field.
+"""Estimate a gain map: the common shape of microimages, and its change over the field.
 
 The pixels of a sample of lenses are compared with the current map. Their residuals, summed over the
 distance to the centre, correct the profile; over the direction, the rim; over the place in the
@@ -120,8 +119,10 @@ def _correct_profile(gain: GainMap, residuals: Residuals) -> GainMap:
 
 
 def _fit_significant(blocks: list[Floats], target: Floats, weight: Floats) -> list[Floats]:
-    """Weighted least-squares factors of the columns of each block, zero for those that move the rim
-    by less than `_LEAST` [px RMS], or four standard errors.
+    """Fit the columns of each block by weighted least squares; drop insignificant ones.
+
+    A factor is 0 if it moves the rim by less than `_LEAST` [px RMS] or by less than four standard
+    errors.
     """
     table = np.hstack(blocks)
     root = np.sqrt(weight)[:, None]
@@ -161,8 +162,9 @@ def _select_rims(residuals: Residuals, gain: GainMap) -> tuple[Booleans, Array]:
 def _fit_rim(
     residuals: Residuals, gain: GainMap, rims: Booleans, steep: Array, scene: bool
 ) -> Array:
-    """New polynomials of the rim: harmonics of the direction times monomials of the field, the
-    significant ones.
+    """New polynomials of the rim: harmonics of the direction times monomials of the field.
+
+    Only significant terms are kept.
 
     Only the mean and the first three harmonics may change over the field, and the mean rim of the
     whole field is in the profile. Of scenes, whose content leaks into them, none changes.

@@ -1,5 +1,6 @@
-"""Light of every lens of a white image: a smooth polynomial of the field, and lenses that differ
-from it or are unlit.
+"""Light of every lens of a white image: a smooth polynomial of the field, and outliers.
+
+Outliers are unlit lenses and lenses whose light differs from the polynomial.
 
 The light of a lens is the mean ratio of its pixels to the shape of its microimage. A robust
 polynomial (IRLS with Tukey's biweight) is fitted to the logarithms.
@@ -69,8 +70,10 @@ class LensLights:
 
 
 class _LensMeasurements(NamedTuple):
-    """Of every lens (n,): light, number of pixels it comes from, their standard deviation, mean and
-    maximum of all; how they correlate with the shape of microimages, and the contrast of that
+    """Measurements of every lens (n,).
+
+    These are the light, the number of its pixels, their standard deviation, the mean and the
+    maximum of all pixels, the correlation with the shape of microimages, and the contrast of that
     shape.
     """
 
@@ -87,8 +90,9 @@ class _LensMeasurements(NamedTuple):
 def _measure_lenses(
     begin, end, picture, top, chosen, centres, lenses, cell, stride, shape, profile, out
 ):
-    """Write `_LensMeasurements` of the `chosen` lenses into `out` (7, n); `picture` begins at row
-    `top` of the flat.
+    """Write `_LensMeasurements` of the `chosen` lenses into `out` (7, n).
+
+    `picture` begins at row `top` of the flat.
     """
     height, width = picture.shape
     lens = np.empty(lenses.shape[1])
@@ -254,9 +258,7 @@ def _shrink_lens_gain(
 
 
 def find_unlit_in_scene(picture: Singles, lattice: Lattice, gain: GainMap) -> Integers:
-    """(m,) rows of the lenses of a scene capture that have no light while all their neighbours have
-    some.
-    """
+    """Rows (m,) of the lenses of a scene that are dark while all their neighbours are lit."""
     found = _measure(picture, lattice, gain, lattice.centres())
     indices = lattice.indices()
     low = indices.min(0) - 1

@@ -1,6 +1,4 @@
-"""Illumination of a camera from one flat: gain map, vignetting of the average microimage, usable
-radius and defects.
-"""
+"""Illumination of a camera from one flat: gain map, vignetting, radius and defects."""
 
 from __future__ import annotations
 

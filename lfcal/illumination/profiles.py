@@ -1,5 +1,4 @@
-"""Profiles of microimages from sums over many lenses: of scene captures, and of the types of a
-multi-focus array.
+"""Profiles of microimages from sums over many lenses: of scenes, and of lens types.
 
 On the average a scene is as bright at the rims of microimages as in their middles. The ratio of the
 summed light at one distance to that at others is free of it. The mean of ratios within lenses is
@@ -71,8 +70,9 @@ class ProfilePixels(NamedTuple):
     def sum_windows(
         self, gain: GainMap, types: NDArray[np.int8], core: float
     ) -> tuple[Floats, Floats, Floats]:
-        """Light over that of the core (w, t, k), its weight, and the level of the core (w, t), of
-        windows that have some.
+        """Light over that of the core (w, t, k), its weight, and the level of the core (w, t).
+
+        Windows without light are left out.
 
         `core` [px] is its radius; `types` (n,) are those of the lenses.
         """
@@ -99,8 +99,9 @@ class ProfilePixels(NamedTuple):
 
 
 def _shrunk_mean(values: Floats, weight: Floats) -> Floats:
-    """(...) means of values (w, ...) over windows of the field, shrunk by their errors (James and
-    Stein 1961).
+    """Means (...) of values (w, ...) over windows of the field, shrunk by their errors.
+
+    James and Stein (1961).
     """
     total = np.maximum(weight.sum(0), 1e-12)
     mean = (values * weight).sum(0) / total
@@ -130,8 +131,9 @@ def fit_scene_profile(found: ProfilePixels, gain: GainMap) -> Floats:
 def fit_type_profiles(
     found: ProfilePixels, radius: float, gain: GainMap, types: LensTypes, scene: bool
 ) -> GainMap:
-    """The gain map with the light of each type of lens, or as it is if types do not differ
-    significantly.
+    """Add the light of each lens type to the gain map.
+
+    The map is returned unchanged if the types do not differ significantly.
 
     `radius` [px] is the usable one; on a white image the light of each lens is in the map.
     """
@@ -165,8 +167,9 @@ def fit_type_profiles(
 def order_by_rims(
     types: LensTypes | None, gain: GainMap, radius: float
 ) -> tuple[LensTypes | None, GainMap]:
-    """The `ordered` types of a white image and their gain map, from the softest rims to the hardest
-    where these differ.
+    """Order the lens types of a white image from soft rims to hard ones.
+
+    Returns the types and their gain map. Types whose rims do not differ stay in their order.
 
     Rims are images of the main aperture, at `s = 0`: the farther from that a type is focused, the
     softer is its rim, and the less light is left before it (`radius` [px]: usable).

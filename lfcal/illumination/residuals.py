@@ -1,5 +1,6 @@
-"""Residuals of a gain map: pixels of a sample of lenses, spread over windows of the field, minus
-the map.
+"""Residuals of a gain map: pixels of a sample of lenses minus the map.
+
+The lenses are spread over windows of the field.
 
 Of every pixel the residual is `v / g - m`, with its luminance `v`, the light `g` of its lens and
 the relative light `m` of the map. The light of a lens is fitted to its inner part first; on scene
@@ -146,8 +147,9 @@ class Residuals(NamedTuple):
     stray: float
 
     def spread(self, values: Array, rings: int) -> Array:
-        """(rings,) sums of values (q,) over the profile, shared out among the two samples about
-        each pixel.
+        """Sums (rings,) of values (q,) over the profile.
+
+        Each pixel is shared between the two samples beside it.
         """
         sums: Array = np.bincount(self.ring, values * (1 - self.part), rings)
         return sums + np.bincount(self.ring + 1, values * self.part, rings)
@@ -187,8 +189,9 @@ def collect_residuals(sample: Sample, gain: GainMap, scene: bool, largest: Array
 def _fit_lens_lights(
     sample: Sample, light: Array, core: float, scene: bool
 ) -> tuple[Array, Array, Array]:
-    """Light (n,) of each lens, its relative slopes (2, n) [1/px], and its weight: 0 if it is
-    clipped or too steep.
+    """Light (n,) of each lens, its relative slopes (2, n) [1/px], and its weight.
+
+    The weight is 0 for lenses that are clipped or too steep.
     """
     inside = np.flatnonzero((np.hypot(sample.x, sample.y) <= core) & (light >= 0.5))
     own = sample.select(inside)

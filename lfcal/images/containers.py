@@ -195,8 +195,9 @@ def read_raw_photo(path: Path, page: int | None) -> NDArray[Any]:
 
 
 class ZarrFlat(NamedTuple):
-    """A grey or colour picture in a `zarr.Array` (h, w), (h, w, c), or (c, h, w) with
-    `channels_first`.
+    """A grey or colour picture in a `zarr.Array`.
+
+    Its shape is (h, w) or (h, w, c), or (c, h, w) with `channels_first`.
     """
 
     array: Any

@@ -1,5 +1,4 @@
-"""Lens types of multi-focus arrays: which lens is of which type, and the order of their foci, for
-`calibrate`.
+"""Lens types of multi-focus arrays: the type of each lens, and the order of the foci.
 
 From sharpness and rims of a few thousand lenses, compared with their neighbours.
 """

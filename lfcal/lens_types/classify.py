@@ -72,8 +72,9 @@ _VECTORS = np.array([(p / period, q / period) for period, p, q in _MOSAICS])
 def find_lens_types(
     picture: Singles | StackedCrops, lattice: Lattice, white: bool
 ) -> LensTypes | None:
-    """Classify the lenses of an array by type; None where the flat shows no difference: one type,
-    or too little to see.
+    """Classify the lenses of an array by type.
+
+    None if the flat shows no difference: the array has one type, or there is too little to see.
 
     Mosaics with a period of three lenses (three types, as in hexagonal multi-focus arrays) and of
     two lenses (two or four types) are known, on any lattice. `picture` (h, w), or crops of a white
@@ -138,8 +139,9 @@ def _strengths(
     white: bool,
     others: Floats,
 ) -> Floats:
-    """(mosaics,) power of each over that of the strongest other pattern, 0 where it is not
-    significant.
+    """Power (mosaics,) of each mosaic over that of the strongest other pattern.
+
+    It is 0 for mosaics that are not significant.
     """
     vectors = np.vstack([_VECTORS, others])
     waves = _waves(sample.inner, vectors) / _gain(vectors, sample.lattice)
@@ -204,9 +206,7 @@ def _list_features(
 
 
 def _repeats(values: Floats, wave: NDArray[np.complex128], least: float) -> bool:
-    """Whether a mosaic is strong enough in a feature to matter, and the same in two halves of the
-    sample.
-    """
+    """Whether a mosaic is strong enough in a feature, and alike in both halves of the sample."""
     half = np.arange(len(values)) * 16 // len(values) % 2 == 0
     first = complex(values[half] @ wave[half])
     second = complex(values[~half] @ wave[~half])
@@ -216,8 +216,9 @@ def _repeats(values: Floats, wave: NDArray[np.complex128], least: float) -> bool
 
 
 def _differences(sample: LensSample, feature: Floats) -> Floats:
-    """(n,) a feature of lenses less that of their neighbours, within `outlier_limit`, and 0 where
-    it is not known.
+    """Differences (n,) of a feature of lenses from that of their neighbours.
+
+    They are clipped at `outlier_limit`, and 0 where the feature is not known.
     """
     values = sample.subtract_neighbours(feature)
     limit = outlier_limit(values[np.isfinite(values)])
@@ -230,8 +231,9 @@ def _power(values: Floats, waves: NDArray[np.complex128]) -> Floats:
 
 
 def _waves(indices: Integers, vectors: Floats) -> NDArray[np.complex128]:
-    """(n, v) `exp(-2 pi i * index @ vector)`, from a table along each axis, which has far fewer
-    indices than lenses.
+    """Complex waves `exp(-2 pi i * index @ vector)` (n, v).
+
+    They are products from one table per axis, which has far fewer indices than there are lenses.
     """
     waves: NDArray[np.complex128] = np.ones((len(indices), len(vectors)), np.complex128)
     for axis in range(2):
@@ -246,8 +248,9 @@ def _gain(vectors: Floats, lattice: Lattice) -> Floats:
 
 
 def _other_patterns(lattice: Lattice) -> Floats:
-    """(v, 2) wave vectors [periods per lens], as fine as those of mosaics but far from them and
-    from beats.
+    """Wave vectors (v, 2) [periods per lens] that are no mosaics.
+
+    They are as fine as those of mosaics, but far from them and from beats.
     """
     drawn: Floats = np.outer(np.arange(1, 8 * _OTHERS), _SPREAD) % 1
     far = _apart(drawn[:, None] - np.vstack([_VECTORS, -_VECTORS])).max(-1).min(1) > _AWAY

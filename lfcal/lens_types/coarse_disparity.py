@@ -52,8 +52,9 @@ def _covariance(pixels, width, cx, cy, places, across, down):
 
 @kernel(error_model="numpy", share=lambda picture, centres, *_: len(centres), fastmath=FAST)
 def _correlate(begin, end, picture, centres, steps, ratios, radius, spacing, covariance, variance):
-    """Covariances and mean variances (n, ratios) of lenses and their neighbours, added up over the
-    `steps`.
+    """Covariances and mean variances (n, ratios) of lenses and their neighbours.
+
+    They are summed over the `steps`.
     """
     height, width = picture.shape
     pixels = picture.ravel()
@@ -142,8 +143,9 @@ def estimate_coarse_disparity(picture: Singles, sample: LensSample) -> Floats:
 
 
 def find_scene_mode(flat: NDArray, lattice: Lattice) -> Literal["telescopic", "binocular"] | None:
-    """The mode of a scene, the sign of its coarse disparity; None where too few lenses have any, or
-    a part the other.
+    """The mode of a scene, from the sign of its coarse disparity.
+
+    None if too few lenses have a disparity, or too many have the other mode.
 
     `flat` is (h, w) or (h, w, 3).
     """

@@ -1,6 +1,4 @@
-"""Order of lens types by their focus, from their sharpness over depth and from the blur of their
-rims.
-"""
+"""Order of lens types by focus, from sharpness over depth and from the blur of rims."""
 
 from __future__ import annotations
 
@@ -81,8 +79,9 @@ def find_focus_order(
 
 
 class TypeMeans(NamedTuple):
-    """Type (n,) of the inner lenses, and what turns differences from neighbours into values of
-    types, of mean zero.
+    """Types (n,) of the inner lenses, and the matrix that computes values of types.
+
+    It turns differences from neighbours into values of types with mean zero.
     """
 
     of: Integers
@@ -103,8 +102,9 @@ class TypeMeans(NamedTuple):
         )
 
     def fit_lines(self, values: Floats, places: Floats) -> tuple[Floats, Floats] | None:
-        """Line through the values of each type: (count, 2) height and slope, and (2,) errors of
-        differences.
+        """Fit a line through the values of each type.
+
+        Returns height and slope (count, 2), and the errors (2,) of differences.
 
         None where a type has too few known values.
         """
@@ -135,8 +135,9 @@ class TypeMeans(NamedTuple):
         return self.unmixing @ lines, inflation * error
 
     def fit_means(self, values: Floats) -> tuple[Floats, float] | None:
-        """Robust mean of each type, and the standard error of their differences; None where a type
-        has too few.
+        """Robust mean of each type, and the standard error of differences between types.
+
+        None if a type has too few values.
         """
         fit = self.fit_lines(values, np.where(np.isfinite(values), 0.0, np.nan))
         return fit and (fit[0][:, 0], fit[1][0])
@@ -163,8 +164,9 @@ def _rim_softness(outer_light: Floats, inner_loss: Floats, types: TypeMeans) -> 
 def _order_over_depth(
     sharpness: Floats, disparity: Floats, types: TypeMeans
 ) -> tuple[Floats, Floats, float] | None:
-    """Slope of the sharpness of each type over `s / D`, focus of each, and the sign of `s` at which
-    they are focused.
+    """Slope of the sharpness of each type over `s / D`, and the focus of each type.
+
+    Also returns the sign of `s` at which the types are focused.
 
     None where the slopes are not clearly different.
 

@@ -1,5 +1,6 @@
-"""Blocks of neighbouring lenses spread over a flat, and features of single lenses: fine contrast,
-rim, brightness.
+"""Blocks of neighbouring lenses, and features of single lenses.
+
+The features are fine contrast, rim and brightness.
 
 Neighbours see nearly the same piece of the scene, so that the difference from them is a property of
 the lens; a few thousand lenses are enough.
@@ -60,8 +61,9 @@ class LensSample:
         return self.index[:, 1:-1, 1:-1].reshape(-1, 2)
 
     def subtract_neighbours(self, values: Floats) -> Floats:
-        """(m * side**2,) values (m, side + 2, side + 2) of lenses less the mean of their
-        neighbours; NaN if one is.
+        """Values (m, side + 2, side + 2) of lenses less the mean of their neighbours.
+
+        The result has (m * side**2,) values, NaN if a neighbour is NaN.
         """
         stop = values.shape[1] - 1
         near = [values[:, 1 + i : stop + i, 1 + j : stop + j] for i, j in self.lattice.steps]
@@ -87,8 +89,9 @@ class LensFeatures:
 
 
 def outlier_limit(values: Floats) -> float:
-    """Three standard deviations of values (n,), from the median of their sizes; 0 where there are
-    none.
+    """Three standard deviations of values (n,), 0 if there are none.
+
+    The deviation is estimated from the median of the absolute values.
     """
     if len(values):
         return 3.0 * robust_sigma(values)
@@ -96,8 +99,9 @@ def outlier_limit(values: Floats) -> float:
 
 
 def sample_lenses(lattice: Lattice, crops: StackedCrops | None = None) -> LensSample:
-    """Blocks of 12 x 12 lenses, evenly spread over the flat or its crops; all lenses of a small
-    flat.
+    """Choose blocks of 12 x 12 lenses, evenly spread over the flat or its crops.
+
+    All lenses of a small flat are taken.
     """
     reach = _REACH * lattice.radius
     if crops is None:
@@ -129,8 +133,9 @@ def sample_lenses(lattice: Lattice, crops: StackedCrops | None = None) -> LensSa
 
 @kernel(error_model="numpy", share=lambda picture, centres, *_: len(centres))
 def _accumulate(begin, end, picture, centres, radius, inside, lag, energy, gradient, light, count):
-    """Squared differences and gradients within `inside`, and light by distance to the centre, of
-    each lens.
+    """Sum squared differences and gradients within `inside`, and light by distance.
+
+    The sums are those of each lens; the distance is that to its centre.
     """
     height, width = picture.shape
     rings = light.shape[1]
@@ -169,8 +174,9 @@ def _accumulate(begin, end, picture, centres, radius, inside, lag, energy, gradi
 
 
 def measure_lens_features(picture: Singles, sample: LensSample) -> LensFeatures:
-    """Measure the lenses of a sample on a picture (h, w) as made by
-    `images.preprocessing.sqrt_luminance`.
+    """Measure the features of the lenses of a sample.
+
+    `picture` (h, w) is made by `images.preprocessing.sqrt_luminance`.
     """
     radius = sample.lattice.radius
     chosen = np.flatnonzero(sample.whole.ravel())
@@ -190,8 +196,9 @@ def measure_lens_features(picture: Singles, sample: LensSample) -> LensFeatures:
         return light[:, own].sum(1) / np.maximum(count[:, own].sum(1), 1) + _NOISE
 
     def ratio(own: slice, other: slice) -> tuple[Floats, float]:
-        """Light in a zone over that in another, less that of the mean profile, and its mean over
-        all lenses.
+        """Light in a zone over that in another zone, less the ratio of the mean profile.
+
+        Also returns the mean over all lenses.
         """
         relative = light[:, own] / mean(other)[:, None]
         pixels = count[:, own]

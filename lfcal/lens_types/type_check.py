@@ -62,8 +62,9 @@ def find_type_conflict(
 
 
 def find_rim_conflict(types: LensTypes, gain: GainMap, radius: float) -> str | None:
-    """What in the gain map (`radius` [px]: usable) contradicts the lens types of a camera, None
-    where nothing does.
+    """Sentence about a contradiction between gain map and lens types of a camera.
+
+    None if there is none. `radius` [px] is the usable one.
     """
     cells = LensTypes(gain.type_cell)
     own = _numbers(types, cells).ravel()

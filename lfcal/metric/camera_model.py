@@ -123,8 +123,9 @@ def shape_derivatives(board: Array) -> Array:
 
 
 def _image_slopes(seen: Array, start: Array, coefficients: Array) -> Array:
-    """Image slopes (n, 2) of object slopes (n, 2), with the distortion linearised at the image
-    slopes `start` (n, 2).
+    """Image slopes (n, 2) of object slopes (n, 2).
+
+    The distortion is linearised at the image slopes `start` (n, 2).
     """
     k1, k2, k3, p1, p2 = coefficients
     x, y = start.T

@@ -1,3 +1,1 @@
-"""The report of a metric calibration: residuals, poses, reliability of the errors, what to shoot
-next.
-"""
+"""Report of a metric calibration: residuals, poses, reliability, what to shoot next."""

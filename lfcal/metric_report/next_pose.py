@@ -49,8 +49,9 @@ _FEWEST_CORNERS = 20
 
 
 def suggest_poses(found: MetricCalibration) -> list[tuple[float, str, str]]:
-    """Distance [mm], place in the field and tilt of the three best further poses, each given those
-    before.
+    """The three best further poses, each given those before.
+
+    Each is a distance [mm], a place in the field and a tilt.
     """
     optics = found.optics
     assert optics.covariance is not None

@@ -1,5 +1,6 @@
-"""One HTML page about a metric calibration, which needs no network: tables and figures (SVG) in a
-template (Jinja).
+"""Page (HTML) about a metric calibration, which needs no network.
+
+Tables and figures (SVG) are put into a template (Jinja).
 """
 
 from __future__ import annotations

@@ -1,3 +1,1 @@
-"""What both packages stand on: errors, output files, command lines, notebooks, Numba options and
-small numerics.
-"""
+"""Base of both packages: errors, files, command lines, notebooks, kernels, arrays."""

@@ -1,6 +1,4 @@
-"""Arrays of results: read-only in records that compare by value, as text in camera files, with 8
-bits on screens.
-"""
+"""Arrays of results: in frozen records, as text in camera files, in 8 bits on screens."""
 
 from __future__ import annotations
 
@@ -49,8 +47,7 @@ _Value = TypeVar("_Value")
 
 
 class Frozen:
-    """Base of frozen dataclasses (`eq=False`) with arrays, which stay read-only when pickled or
-    copied.
+    """Base of frozen dataclasses (`eq=False`) whose arrays stay read-only in copies.
 
     Numba compiles kernels anew for writable arrays: worker processes would have kernels of their
     own, which may add up numbers in another order. In `==`, NaN equals NaN.
@@ -100,8 +97,9 @@ def encode_array(values: NDArray[Any]) -> str:
 
 
 def decode_array(text: str, kind: str) -> NDArray[Any]:
-    """A flat array of type `kind` from `encode_array`; ValueError where the text is damaged or
-    unpacks to too much.
+    """A flat array of type `kind` from `encode_array`.
+
+    ValueError if the text is damaged or unpacks to too much.
     """
     unpacker = zlib.decompressobj()
     try:
@@ -116,8 +114,9 @@ def decode_array(text: str, kind: str) -> NDArray[Any]:
 
 
 def white_of(pixels: NDArray, white: float | None = None) -> float:
-    """The value of white: of integers `white`, or the largest of the type if it is less or None is
-    given; else 1.
+    """The value of white: 1 for floats, the largest value of the type for integers.
+
+    `white`, if it is given and less, replaces the largest value.
     """
     if pixels.dtype.kind == "f":
         return 1.0
@@ -133,8 +132,9 @@ def evenly(count: int, most: float) -> slice:
 def exposure_gain(
     pixels: NDArray, white: float | None = None, exposure: Exposure = "auto"
 ) -> float:
-    """The gain by which a picture is brightened: `2 ** exposure`, or by `"auto"` what its content
-    asks for.
+    """The gain by which a picture is brightened.
+
+    It is `2 ** exposure`; with `"auto"` it follows from the content.
 
     A dim picture is brightened until 99.5 % of its values lie below 0.9 of white, a thousand times
     at most. Bright ones, and those of 8 bits, which are made for display, are left as they are.
@@ -170,8 +170,9 @@ def brighten(pixels: NDArray, gain: float, white: float | None = None) -> NDArra
 def to_eight_bits(
     pixels: NDArray, white: float | None = None, gain: float = 1.0
 ) -> NDArray[np.uint8]:
-    """Pixels times a gain as uint8, 255 for white as of `white_of`; those of 8 bits have white at
-    255.
+    """Pixels times a gain as uint8, with white at 255.
+
+    White is that of `white_of`; pixels of 8 bits have it at 255.
     """
     eight = pixels.dtype == np.uint8
     if eight and gain == 1:

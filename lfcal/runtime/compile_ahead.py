@@ -112,8 +112,9 @@ def _silence() -> None:
 
 
 def _compile(name: str, types: list[list[Any]]) -> bool:
-    """Compile a kernel for each list of types, or load it from the cache; whether that could be
-    done.
+    """Compile a kernel for each list of types, or load it from the cache.
+
+    Returns whether that succeeded.
     """
     module, _, function = name.rpartition(".")
     # A kernel that cannot be compiled here is compiled when it is called, or raises its error then.

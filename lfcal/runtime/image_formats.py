@@ -1,6 +1,4 @@
-"""The formats that flats are read from, with their suffixes and first bytes; the colour mosaics
-they may hold.
-"""
+"""Formats of flats with suffixes and first bytes; colour mosaics that they may hold."""
 
 from __future__ import annotations
 

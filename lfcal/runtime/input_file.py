@@ -1,6 +1,4 @@
-"""Reading text files that may come from anybody: regular files only, and no larger than such files
-can be.
-"""
+"""Read text files from unknown sources: regular files only, of limited size."""
 
 from __future__ import annotations
 
@@ -18,8 +16,9 @@ LARGEST_TEXT = LARGEST_BLOCK
 
 
 def open_regular(path: str | os.PathLike[str]) -> int:
-    """A file descriptor for reading; OSError unless it is of a regular file. A pipe without a
-    writer is not waited for.
+    """Open a regular file for reading and return its descriptor.
+
+    OSError for other files. A pipe without a writer is not waited for.
 
     Examples
     --------
@@ -36,8 +35,9 @@ def open_regular(path: str | os.PathLike[str]) -> int:
 
 
 def read_text(path: str | os.PathLike[str]) -> str:
-    """The text of a file in UTF-8, with or without a byte order mark; OSError if it has more than
-    `LARGEST_TEXT` bytes.
+    """The text of a file in UTF-8, with or without a byte order mark.
+
+    OSError if it has more than `LARGEST_TEXT` bytes.
     """
     with open(open_regular(path), encoding="utf-8-sig") as stream:
         size = os.fstat(stream.fileno()).st_size

@@ -1,5 +1,4 @@
-"""Numba kernels: the decorator of those that Python calls, loops shared out among threads,
-floating-point options.
+"""Numba kernels: their decorator, loops shared among threads, floating-point options.
 
 With `FAST`, sums may be reordered, but NaN keeps its meaning. Results must not depend on what a
 process has compiled before:
@@ -42,8 +41,9 @@ def kernel(
     share: Callable[..., int] | None = None,
     **options: Any,
 ) -> Any:
-    """Compile a function that Python calls, with the options of `numba.njit`, its cache, and
-    without the interpreter.
+    """Compile a function that Python calls.
+
+    It takes the options of `numba.njit`, is cached, and runs without the lock of the interpreter.
 
     With `share`, a function of the arguments for the number of items, it is called without its
     first two arguments, the first item and the end of a part of them: see `share_out`. Functions
@@ -75,8 +75,9 @@ if hasattr(os, "register_at_fork"):
 
 
 def share_out(kernel: Callable[..., Any], items: int, arguments: tuple[Any, ...]) -> None:
-    """Call `kernel(begin, end, *arguments)` for parts of `range(items)`, on as many threads as
-    Numba may use.
+    """Call `kernel(begin, end, *arguments)` for parts of `range(items)` on several threads.
+
+    The number of threads is that of Numba.
 
     Numba's own parallel loops take as long again to compile. No item may write where another reads
     or writes.

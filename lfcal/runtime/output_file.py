@@ -38,8 +38,7 @@ class OutputError(LightFieldError, OSError):
 
 @contextmanager
 def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Give a temporary file beside `path` to write into, and rename it to `path` if there was no
-    error.
+    """Give a temporary file beside `path`, and rename it to `path` if there is no error.
 
     It has the suffix of `path`, for writers that choose the format by it, and the usual permissions
     of new files. OutputError if the file cannot be made, written or moved.
@@ -117,8 +116,9 @@ def check_folder(path: str | os.PathLike[str]) -> Path:
 
 
 def refuse_leftovers(folder: Path, pattern: str, names: Collection[str]) -> None:
-    """Refuse a folder in which files of an earlier run would stay beside the new ones, as if they
-    were one result.
+    """Refuse a folder that holds files of an earlier run which this run does not replace.
+
+    Both together would look like one result.
 
     `pattern` is a regular expression of the names that such results have, `names` are the new
     files. OutputError if other files match; nothing is removed.
@@ -135,8 +135,9 @@ def refuse_leftovers(folder: Path, pattern: str, names: Collection[str]) -> None
 
 
 def make_folder(path: str | os.PathLike[str], parents: bool = False) -> Path:
-    """Make a folder for results where it does not exist, as `check_folder` allows; OutputError if
-    that fails.
+    """Make a folder for results where it does not exist, as `check_folder` allows.
+
+    OutputError if that fails.
     """
     target = check_folder(path)
     try:

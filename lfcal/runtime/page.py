@@ -1,6 +1,4 @@
-"""Pages of HTML, filled from templates (Jinja), figures on them, and results in a cell of a
-notebook.
-"""
+"""HTML pages from templates (Jinja), figures on pages, results in notebooks."""
 
 from __future__ import annotations
 
@@ -18,8 +16,9 @@ __all__ = ["html_card", "html_table", "to_svg", "write_page"]
 
 
 def write_page(path: str | os.PathLike[str], template: Path, **values: Any) -> None:
-    """Write a template filled with values, which are escaped, as a page; it appears whole or not at
-    all.
+    """Fill a template with values, which are escaped, and write it as a page.
+
+    The page appears whole or not at all.
     """
     from jinja2 import Environment, FileSystemLoader
 

@@ -1,5 +1,6 @@
-"""Pixels of video, converted by FFmpeg (PyAV, the extra `video`) to the nearest value, and its
-names of raw formats.
+"""Pixels of video, converted by FFmpeg (PyAV), and names of raw pixel formats.
+
+PyAV is the extra `video`. Values are rounded to the nearest one.
 """
 
 from __future__ import annotations
@@ -40,8 +41,9 @@ def convert_frame(frame: Any, name: str, **options: Any) -> Any:
 
 
 def rgb_pixels(frame: Any) -> NDArray[Any]:
-    """(h, w, 3) pixels of a frame of PyAV: uint16 where it has more than 8 bits a colour, else
-    uint8.
+    """Pixels (h, w, 3) of a frame of PyAV.
+
+    They are uint16 if the frame has more than 8 bits a colour, else uint8.
     """
     if max(component.bits for component in frame.format.components) <= 8:
         return np.ascontiguousarray(convert_frame(frame, "rgb24").to_ndarray())
@@ -53,8 +55,9 @@ def rgb_pixels(frame: Any) -> NDArray[Any]:
 
 
 def parse_pixel_format(text: str) -> tuple[str, str, int]:
-    """FFmpeg's name, subsampling and bits of a pixel format such as `"yuv420p10"`; ValueError if it
-    is not known.
+    """FFmpeg's name, subsampling and bits of a pixel format such as `"yuv420p10"`.
+
+    ValueError if the format is not known.
     """
     found = re.fullmatch(
         r"(?:yuv)?(420|422|444)p?(8|10|12)?(?:le)?|(?:gray|400p?)(8|10|12)?(?:le)?", text.lower()

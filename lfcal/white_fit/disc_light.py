@@ -61,8 +61,9 @@ _NODE_WEIGHTS = 0.5 * _NODES[1]
 
 @njit(error_model="numpy", fastmath=False)
 def _through_both(alpha, beta, first, second, correlation):
-    """Light through two edges at once, and its derivative with each of them over that of the edge
-    alone.
+    """Light through two edges at once, and its derivatives.
+
+    Each derivative is relative to that of one edge alone.
 
     `alpha` and `beta` are the depths inside the edges in units of their blur, `first` and `second`
     the light through one alone. Drezner and Wesolowsky (J. Stat. Comput. Simul. 35, 1990).
@@ -95,8 +96,9 @@ def _through_edge(alpha, tail):
 
 @njit(error_model="numpy", fastmath=False)
 def _add_lens(px, py, fx, fy, p, sharp, scale, discs, row):
-    """Light at `px, py` from a lens at `fx, fy` of the field, without that of the gaps; adds
-    derivatives to `row`.
+    """Light at `px, py` from a lens at `fx, fy` of the field, without the light of gaps.
+
+    Its derivatives are added to `row`.
 
     `sharp` (2,) is one over the blurs, `discs` (2, 7) working memory.
     """
@@ -161,8 +163,9 @@ def _add_lens(px, py, fx, fy, p, sharp, scale, discs, row):
 
 @kernel(error_model="numpy", share=lambda place, *_: len(place))
 def evaluate(begin, end, place, lens, field, steps, p, scale, reach, model, table):
-    """Light (n,) of pixels, that of neighbours (`steps`) included, and its derivatives (n, 19) with
-    the parameters.
+    """Light (n,) of pixels and its derivatives (n, 19) with the parameters.
+
+    The light of the neighbours at `steps` is included.
 
     `place` (n, 2) [px] is relative to the centre of the lens with number `lens` (n,), which lies at
     `field` (lenses, 2); `reach` is half the diagonal of the flat and `scale` a length for the

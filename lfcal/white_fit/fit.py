@@ -1,5 +1,6 @@
-"""Fit of a white image: lattice and distortion, or two discs that cut each other, to the pixels of
-many lenses.
+"""Fit of a white image: lattice and distortion, or two discs that cut each other.
+
+The model is fitted to the pixels of many lenses.
 
 All lenses share one lattice and one radial profile; each has its own gain. A distortion is kept
 only if it is significant and moves the centres. A few lenses find whether a disc cuts the
@@ -48,9 +49,7 @@ _NO_LATTICE = "the microimages do not keep to one lattice; give a sharper flat o
 
 @dataclass(frozen=True)
 class Step:
-    """A Gauss-Newton step of `p` global parameters, and the equations of `n` lenses that it comes
-    from.
-    """
+    """A Gauss-Newton step of `p` global parameters, with the equations of `n` lenses."""
 
     names: list[str]  # (p,)
     jacobian: Floats  # (n, 2, p) of the centres with the parameters
@@ -87,8 +86,9 @@ class Step:
         return float(np.sqrt(np.average((self.offsets**2).sum(1), weights=self.weight)))
 
     def half_difference(self) -> float:
-        """RMS distance over the flat between the steps of every other microimage and of the others
-        [px].
+        """RMS distance [px] over the flat between the steps of two halves of the microimages.
+
+        The halves are every other microimage and the rest.
         """
         one, two = (
             _solve(self.jacobian[k::2], self.normal[k::2], self.right[k::2], self.weight[k::2])[0]
@@ -144,8 +144,9 @@ def converge(lattice: Lattice, lenses: Microimages, orders: tuple[str, ...]) -> 
 
 
 def explains_better(fit: Fit, orders: tuple[str, ...]) -> bool:
-    """Whether the parameters `orders` instead of its own would explain a converged fit
-    significantly better.
+    """Whether the distortion parameters `orders` would explain a converged fit better.
+
+    The improvement must be significant.
 
     Its last step is solved again with them: they count if they are significant, and move centres by
     more than `_NEGLIGIBLE` [px, RMS].
@@ -190,9 +191,7 @@ def _position_equations(sums: Sums) -> tuple[Floats, Floats]:
 
 
 def locate_lenses(fit: Fit) -> Floats:
-    """(n, 2) [px] from the centres on the lattice to those that the pixels of single microimages
-    show.
-    """
+    """Offsets (n, 2) [px] of single microimages from their centres on the lattice."""
     offsets = fit.step.offsets
     far = np.flatnonzero(np.hypot(*offsets.T) > _FAR * fit.step.residual_rms)
     if len(far):
@@ -211,8 +210,9 @@ def locate_lenses(fit: Fit) -> Floats:
 def _solve(
     jacobian: Floats, normal: Floats, right: Floats, weight: Floats | None = None
 ) -> tuple[Floats, Floats, Floats]:
-    """Change (p,) of the global parameters, covariance (p, p) and Tukey's weights (n,) of the
-    lenses.
+    """Change (p,) of the global parameters, its covariance (p, p), weights (n,) of lenses.
+
+    The weights are Tukey's.
 
     Weights are of the distance of each lens from the common change; those that are nearly known
     need only one pass.
@@ -273,8 +273,10 @@ class WhiteFit:
 
 
 def fit_white(tones: Singles | StackedCrops, lattice: Lattice) -> WhiteFit:
-    """Fit a white image; CalibrationError if it has fewer than a dozen whole microimages, or they
-    keep to no lattice.
+    """Fit a white image.
+
+    CalibrationError if it has fewer than a dozen whole microimages, or if these do not lie on a
+    lattice.
 
     `tones` (h, w), or parts of such, is as made by `images.preprocessing.sqrt_luminance`; `lattice`
     the start, right to a fraction of the pitch over the whole flat, whose orders of distortion are
@@ -353,8 +355,9 @@ def _find_cut(tones: StackedCrops, plain: Fit, bent: Fit) -> TwoDiscs | None:
 
 
 def _explains_more(discs: TwoDiscs, plain: Fit, bent: Fit) -> bool:
-    """Whether the discs explain the pixels better than whole microimages of any profile, distorted
-    or not, do.
+    """Whether two discs explain the pixels better than whole microimages of any profile.
+
+    The whole microimages may be distorted.
     """
     by_discs = discs.residuals(plain.lenses)
     most = (TUKEY_CUTOFF * robust_sigma(by_discs)) ** 2

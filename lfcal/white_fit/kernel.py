@@ -47,8 +47,9 @@ class Rings(NamedTuple):
 
 
 class Sums(NamedTuple):
-    """Normal equations of `x`, `y` and the relative change of the gain of each lens, and sums over
-    the rings.
+    """Normal equations of `x`, `y` and gain of each lens, and sums over the rings.
+
+    The gain is its relative change.
     """
 
     normal: Floats  # (n, 3, 3) upper halves
@@ -60,9 +61,7 @@ class Sums(NamedTuple):
 
 @njit(error_model="numpy", fastmath=False)
 def _clip_rows(centre, reach, side):
-    """First row of a window (`side` rows) within `reach` of `centre`, and one after the last such
-    row.
-    """
+    """First and last row (excluded) of a window of `side` rows within `reach` of `centre`."""
     return max(math.ceil(centre - reach), 0), min(math.floor(centre + reach) + 1, side)
 
 

@@ -1,5 +1,4 @@
-"""First lattice of a large white image: found in one piece of the flat, then extended outwards over
-all of it.
+"""First lattice of a large white image: found in one piece, extended over the flat.
 
 A fit needs some lenses from all over the field, not every pixel. Pieces are taken ever farther out,
 each so near to those before that a distortion is measured before it has moved centres to the next
@@ -44,8 +43,9 @@ __all__ = ["find_white_lattice", "find_white_lattice_in_array", "sample_parts", 
 
 
 def window_reader(flat: Array, filtered: bool) -> ReadCrop:
-    """Reader of the square root of the light of a flat (h, w) or (h, w, 3), `filtered` by a colour
-    mosaic.
+    """Function that reads windows of the square root of the light of a flat.
+
+    The flat is (h, w) or (h, w, 3); `filtered` if it has a colour mosaic.
     """
 
     def read(x: int, y: int, width: int, height: int) -> Singles:
@@ -70,8 +70,9 @@ def sample_parts(
 
 
 def _sample_grid(read: ReadCrop, size: tuple[int, int], side: int, pixels: float) -> StackedCrops:
-    """Square parts of a flat of this `size`, evenly spread from border to border, of about so many
-    pixels in all.
+    """Square parts of a flat of this `size`, evenly spread from border to border.
+
+    Together they have about this number of `pixels`.
     """
     count = max(pixels / side**2, 1.0)
     columns = max(1, min(round(np.sqrt(count * size[0] / size[1])), size[0] // side))
@@ -103,8 +104,9 @@ def find_white_lattice(
     sure: bool,
     tries: int,
 ) -> Candidate | None:
-    """First lattice of a white image, with its distortion; None if the flat is no white image, or
-    no lattice is found.
+    """First lattice of a white image, with its distortion.
+
+    None if the flat is no white image, or if no lattice is found.
 
     `read` gives the square root of the light in any scale, `size` is width and height of the flat
     [px]. `sure` if it is known to be a white image. The lattice is searched for in a piece of
@@ -145,8 +147,9 @@ def find_white_lattice(
 def _find_in_piece(
     read: ReadCrop, size: tuple[int, int], sure: bool, tries: int, side: int
 ) -> tuple[Candidate, tuple[int, int], int] | None:
-    """Lattice of the first piece that shows one, in px of the flat; corner and side of the piece
-    [px].
+    """Lattice of the first piece that shows one, in pixels of the flat.
+
+    Also returns corner and side of the piece [px].
     """
     for place in sorted(
         product(_PLACES, repeat=2), key=lambda p: abs(p[0] - 0.5) + abs(p[1] - 0.5)
@@ -175,8 +178,9 @@ def _find_in_piece(
 
 
 def _is_even(read: ReadCrop, size: tuple[int, int], lattice: Lattice) -> bool:
-    """Whether microimages are evenly lit all over the field, in parts of whole lenses and their
-    neighbours.
+    """Whether microimages are evenly lit all over the field.
+
+    Parts of whole lenses are compared with their neighbours.
     """
     side = max(int(_PIECE_PITCHES * lattice.pitch), _PIECE_SIDE)
     parts = _sample_grid(read, size, side, _EVEN_PARTS * side**2)

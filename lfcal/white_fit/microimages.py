@@ -48,9 +48,7 @@ _SLOPE_PIXELS = 2e5
 
 @dataclass(frozen=True)
 class Microimages:
-    """Windows of the flat around `n` lenses, and the model that they are compared with: a profile
-    of `r` rings.
-    """
+    """Windows of the flat around `n` lenses, and their model: a profile of `r` rings."""
 
     indices: Integers  # (n, 2) of the lattice
     light: Singles  # (n, k, k) squares of the flat around the lenses
@@ -82,8 +80,9 @@ class Microimages:
 
     @property
     def radius(self) -> float:
-        """Distance from the centre [px] at which the profile falls to the mean of the light in the
-        middle and gap.
+        """Distance from the centre [px] at which the profile falls half-way to the gap.
+
+        Half-way is the mean of the light in the middle and in the gap.
         """
         half = 0.5 * (self.core + max(float(self.profile[-3:].min()), 0.0))
         return max(int(np.argmax(self.profile < half)), 1) * _RING_STEP
@@ -122,8 +121,9 @@ class Microimages:
         return offset[:, 0, None, :], offset[:, 1, :, None]
 
     def sums(self) -> Sums:
-        """Normal equations about this model; `CalibrationError` if it is not finite or explains
-        nothing.
+        """Normal equations about this model.
+
+        CalibrationError if the model is not finite or explains nothing.
         """
         values = (self.centres, self.gain, self.slope, self.shade, self.profile, self.ring_weight)
         if not all(np.isfinite(value).all() for value in values):
@@ -141,8 +141,9 @@ class Microimages:
         return sums
 
     def learn(self, sums: Sums, moved: Floats, lattice: Lattice) -> Microimages:
-        """Gains, profile, weights and slopes that fit the pixels better, after a step of the
-        centres.
+        """Gains, profile, weights and slopes that fit the pixels better.
+
+        They are updated after each step of the centres.
 
         `sums` are those about this model, `moved` (n, 2) [px] is the step of the centres.
         """
@@ -178,8 +179,9 @@ class Microimages:
         )
 
     def measure_shade(self, lattice: Lattice) -> Floats:
-        """(n, 2) slope [1/px] of the own light of each microimage, from the middles of some of
-        them.
+        """Slope (n, 2) [1/px] of the light of each microimage without that of its neighbours.
+
+        It is measured in the middles of some of the microimages.
         """
         if np.isfinite(self.saturation):
             return np.zeros_like(self.slope)
@@ -208,8 +210,9 @@ def cut_out(
     fewest: int,
     known: Microimages | None = None,
 ) -> Microimages:
-    """Cut evenly spread lit lenses out of a flat: about as many as have so many `pixels`, but not
-    fewer than `fewest`.
+    """Cut evenly spread lit lenses out of a flat.
+
+    They have about this number of `pixels`, but there are at least `fewest` lenses.
 
     Profile and weights are those of `known` lenses, or the mean profile.
     """
@@ -300,8 +303,9 @@ def _mean_profile(lenses: Microimages) -> Floats:
 
 
 def _fit_shade(slopes: Floats, weight: Floats, centres: Floats, lattice: Lattice) -> Floats:
-    """Slope of the own light of lenses over the field: (3, 2) of a constant and of the position in
-    px, or zeros.
+    """Slope (3, 2) of the light of lenses without that of their neighbours, over the field.
+
+    It is linear in the position [px]; zeros if it is not significant.
 
     `slopes` (n, 2) [1/px] are those of the light within single microimages beyond that of the
     gains. The slope grows linearly with the distance from an axis, which may lie beside the middle;

@@ -1,5 +1,6 @@
-"""Two discs whose overlap is lit, fitted to pixels of some microimages in all of the field: a lens
-and what cuts it.
+"""Two discs whose overlap is lit: a lens and the disc that cuts it.
+
+They are fitted to pixels of some microimages all over the field.
 
 Both discs are displaced in proportion to the position in the field, and by one radial distortion.
 Each has a radius, a blur of its edge and a shading about its centre. Where their edges run alike
@@ -97,8 +98,9 @@ class _Pixels:
     reach: float  # [px] half the diagonal of the flat
 
     def compare(self, p: Floats, weight: Floats) -> tuple[Floats, Floats, Floats]:
-        """Residuals (n,), their negative derivatives (n, 19), and gains (lenses,), which are
-        eliminated.
+        """Residuals (n,), their negative derivatives (n, 19), and gains (lenses,).
+
+        The gains are eliminated from the derivatives.
         """
         model = np.empty(len(self.lens))
         table = np.empty((len(self.lens), COUNT))
@@ -117,8 +119,9 @@ class _Pixels:
 
 @dataclass(frozen=True)
 class TwoDiscs:
-    """A lens (first) and the disc that cuts it (second), relative to the `lattice` that they were
-    fitted on.
+    """A lens (first) and the disc that cuts it (second), relative to their `lattice`.
+
+    This is the lattice that they were fitted on.
     """
 
     lattice: Lattice
@@ -169,8 +172,9 @@ class TwoDiscs:
         )
 
     def difference(self, pair: slice, fault: float) -> float:
-        """Second minus first value of a pair of parameters, in standard errors; `fault` is that of
-        the model.
+        """Second minus first value of a pair of parameters, in standard errors.
+
+        `fault` is the error of the model.
         """
         one, two = range(COUNT)[pair]
         variance = (
@@ -185,8 +189,9 @@ class TwoDiscs:
         return _lattice_of(self.lattice, self.parameters)
 
     def errors(self) -> LatticeErrors:
-        """Standard errors of `lens_lattice`; no model of the blur that both edges share is exact to
-        two per cent.
+        """Standard errors of `lens_lattice`.
+
+        No model of the blur that both edges share is exact to two per cent.
         """
         fault = (
             _MODEL_FAULT
@@ -205,8 +210,9 @@ class TwoDiscs:
         return float(np.sqrt((as_errors.of_centres(self.lens_lattice()) ** 2).mean()))
 
     def residuals(self, lenses: Microimages) -> Floats:
-        """(m,) of the unclipped pixels in the cells of lenses on `lattice`, over their gains
-        without a cut.
+        """Residuals (m,) of the unclipped pixels in the cells of lenses on `lattice`.
+
+        They are divided by the gains without a cut.
         """
         slope = lenses.slope
         for _ in range(2):
@@ -223,8 +229,9 @@ class TwoDiscs:
         return straight
 
     def _response(self) -> Floats:
-        """(p, 19) derivative of the parameters of the lattice, which is linear in those of the
-        first disc.
+        """Derivative (p, 19) of the lattice parameters with the parameters of the discs.
+
+        They are linear in the parameters of the first disc.
         """
         names = self._names()
         moved = []
@@ -297,8 +304,9 @@ def fit_two_discs(lenses: Microimages, lattice: Lattice) -> TwoDiscs | None:
 
 
 def _start(lenses: Microimages) -> tuple[Floats, Floats]:
-    """Parameters to start from, two like discs displaced to both sides of the lattice through their
-    middles, and the standard deviations by which they are expected to differ from that.
+    """Parameters to start from, and the standard deviations by which they may differ.
+
+    The start is two equal discs, displaced to both sides of the lattice through their middles.
     """
     radius = lenses.radius
     p = np.zeros(COUNT)
@@ -334,8 +342,9 @@ def _bounds(scale: float) -> tuple[Floats, Floats]:
 def _choose_pixels(
     lenses: Microimages, slope: Floats, lattice: Lattice, number: int, known: Floats | None = None
 ) -> _Pixels:
-    """At most `number` of the unclipped pixels in the cells of the lenses; with `known` discs most
-    near their edges.
+    """Choose at most `number` unclipped pixels in the cells of the lenses.
+
+    If the discs are `known`, most of the pixels are near their edges.
     """
     rng = np.random.default_rng(0)
     field = field_place(lenses.centres, lattice)
@@ -377,8 +386,9 @@ def _choose_pixels(
 
 
 def _prior(p: Floats, expected: Floats, spread: Floats) -> tuple[Floats, Floats]:
-    """Residuals of what is known before, and their negative derivatives: `spread`, and blurs of
-    both edges that are alike (`_ALIKE`), or else differ.
+    """Residuals of the prior knowledge, and their negative derivatives.
+
+    Parameters have a `spread`. The blurs of both edges are alike (`_ALIKE`), or else they differ.
     """
     differ = float(p[LOG_BLUR][1] - p[LOG_BLUR][0])
     root = math.sqrt(1 + (differ / _DIFFERENT) ** 2)
@@ -392,8 +402,9 @@ def _prior(p: Floats, expected: Floats, spread: Floats) -> tuple[Floats, Floats]
 def _minimise(
     pixels: _Pixels, p: Floats, expected: Floats, spread: Floats, low: Floats, high: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Parameters, gains and standard errors by least squares with a robust loss; those without
-    `spread` are held.
+    """Parameters, gains and standard errors by least squares with a robust loss.
+
+    Parameters without `spread` are held.
     """
     from scipy.optimize import least_squares
 
@@ -441,8 +452,9 @@ def _minimise(
 def _finish(
     pixels: _Pixels, p: Floats, expected: Floats, spread: Floats, low: Floats, high: Floats
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Gauss-Newton steps with Tukey's weights: parameters, covariance, offsets of single lenses,
-    and `halves`.
+    """Gauss-Newton steps with Tukey's weights from a first fit.
+
+    Returns parameters, covariance, offsets of single lenses, and `halves`.
     """
     free = np.flatnonzero(spread > 0)
     weight = np.ones(len(pixels.light))

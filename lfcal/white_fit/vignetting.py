@@ -1,5 +1,4 @@
-"""Mechanical vignetting: the disc that cuts microimages to lens shapes (cat-eye), and its signs on
-white images.
+"""Mechanical vignetting: the disc that cuts microimages (cat-eye), and its signs.
 
 A stop in front of or behind the pupil of the main lens cuts microimages off the optical axis. The
 cut is a disc whose offset from the microimage grows with the position in the field.
@@ -28,8 +27,9 @@ _STEEP = 0.1
 
 @dataclass(frozen=True)
 class CatEye:
-    """Disc that cuts the microimages, at `shift + growth * field` from their centres
-    (`field_place`).
+    """Disc that cuts the microimages, at `shift + growth * field` from their centres.
+
+    `field` is that of `field_place`.
     """
 
     shift: Floats  # (2,) [px] offset in the middle of the flat
@@ -71,8 +71,9 @@ def compare_pixels(lenses: Microimages) -> tuple[Floats, Booleans, Floats]:
 
 
 def measure_narrowing(lenses: Microimages, lattice: Lattice) -> tuple[float, float]:
-    """By how much microimages in the corners of the field are narrower along the field than across,
-    and its error [px].
+    """By how much microimages in the corners are narrower along the field than across [px].
+
+    Also returns the error.
 
     Amplitude of `cos(2 * angle)` of the radius, angles from the direction of the field, growing
     with the field: neither a lattice nor its distortion, neither blur nor the shape of pixels give
@@ -95,8 +96,9 @@ def measure_narrowing(lenses: Microimages, lattice: Lattice) -> tuple[float, flo
 
 
 def measure_centroid_offset(lenses: Microimages, lattice: Lattice) -> float:
-    """Distance [px] of plain centroids of microimages in the middle of the field from their
-    lattice; 0 for too few.
+    """Distance [px] of plain centroids from the lattice in the middle of the field.
+
+    It is 0 if there are too few microimages.
 
     What grows with the field is left out: a disc that cuts microimages moves their centroids.
     """

@@ -1,3 +1,4 @@
-"""The command line `lfrender`: each command reads its inputs, calls the functions of the package
-and prints figures.
+"""The command line `lfrender`.
+
+Each command reads its inputs, calls functions of the package, and prints figures.
 """

@@ -56,10 +56,10 @@ def capture_command(
 ) -> Callable[[Any], click.Command]:
     """Make a command on captures; it is called with a `CaptureInput` and its own options.
 
-    These are `output`, as for `command_line.output_option`, and `own`: titles in the help, with names of options
-    in the table. `refused` are options of captures that make no sense, with the reason to say. A
-    command that takes `several` inputs calls them so, and its camera is calibrated from the first
-    of the `inputs`. `examples` are shown in the help.
+    Its own options are `output`, as for `command_line.output_option`, and those of `own`: titles in
+    the help, with names of options in the table. `refused` are options of captures that the command
+    does not take, with the reason. A command that takes `several` inputs is called with all of
+    them, and its camera is calibrated from the first of the `inputs`. The help shows `examples`.
     """
     reasons = refused or {}
 

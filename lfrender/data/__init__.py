@@ -1,5 +1,4 @@
-"""Values that travel between depth analysis, rendering and files: depth maps, surfaces, pictures,
-optics, viewpoints.
+"""Values that depth analysis, rendering and files exchange: depth maps, pictures, ...
 
 For every room above; plots for notebooks and napari are made from them here too. `house()`,
 `clutter()`, `board()` and so on are sample data, `open_registry` those of a lab.

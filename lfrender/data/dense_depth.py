@@ -129,8 +129,9 @@ def dense_distance(dense: DenseDepth, optics: Optics) -> Singles:
 
 
 def write_dense(path: AnyPath, dense: DenseDepth, distance: Singles | None = None) -> None:
-    """Write the patch sizes [px], or the `distance` of `dense_distance`, as 32-bit TIFF, OpenEXR,
-    or PFM.
+    """Write patch sizes [px], or distances, as 32-bit TIFF, OpenEXR or PFM.
+
+    The distances are those of `dense_distance`.
 
     Affine, validity and standard errors [px] are JSON and two pages of the TIFF, comment and
     channels of OpenEXR; PFM has no room for them. OutputError if the ending is another, the package

@@ -143,8 +143,9 @@ def _fields_of(data: dict[str, Any]) -> dict[str, Any]:
 
 
 def _check_unpacked_size(stream: Any) -> None:
-    """ValueError if an archive would unpack to far more than its own size: `save` does not
-    compress.
+    """ValueError if an archive would unpack to far more than its own size.
+
+    `save` does not compress.
     """
     with ZipFile(stream) as archive:
         unpacked = sum(entry.file_size for entry in archive.infolist())

@@ -38,8 +38,9 @@ def _spread(count: int, length: int) -> Integers:
 
 
 def is_same_flat(one: Singles, other: Singles) -> bool:
-    """Whether samples of two flats differ by rounding only; type, bit depth and exposure may
-    differ.
+    """Whether samples of two flats differ by rounding only.
+
+    Type, bit depth and exposure of the flats may differ.
     """
     if one.shape != other.shape:
         return False

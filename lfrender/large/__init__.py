@@ -1,5 +1,6 @@
-"""Depth and pictures of flats too large for memory, tile by tile: here or on a Dask cluster,
-resumable.
+"""Depth and pictures of flats larger than memory, tile by tile.
+
+Tiles are computed here or on a Dask cluster. Interrupted runs are continued.
 
 The tiles call the same functions as `lfrender.depth` and `lfrender.rendering`.
 """

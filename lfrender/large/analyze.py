@@ -55,8 +55,9 @@ def analyze_large(
     threads: int | None = None,
     memory: float = 6e8,
 ) -> DepthMap:
-    """Estimate the depth of a flat that need not fit into memory; as `analyze`, with nearly the
-    same results.
+    """Estimate the depth of a flat that need not fit into memory.
+
+    It works as `analyze`, with nearly the same results.
 
     The tiles follow from size, type and pitch of the flat and from `memory` alone: the result does
     not depend on the number of workers or on the machine.
@@ -176,8 +177,9 @@ class _Flat:
 
 
 def _survey_window(flat: _Flat, part: LensTile, pixels: Array) -> tuple[Singles, ...]:
-    """Roughness of the lenses of a window, with and without their common shading, and the depths of
-    those with one.
+    """Roughness of the lenses of a window, and the depths of those that have one.
+
+    Roughness is measured with and without the common shading.
     """
     gray = flat.gray_tile(part, pixels)
     plain = sample_statistics(gray)
@@ -245,8 +247,9 @@ def _analyze_tiles(
 
 
 def _paste(target: Singles, surface: Surface, part: LensTile, spacing: float, finer: int) -> None:
-    """Copy the cells, `spacing` [px] wide with `finer` values each way, of a tile from its own
-    surface.
+    """Copy the cells of a tile from its own surface.
+
+    They are `spacing` [px] wide, with `finer` values each way.
     """
     values = surface.patch_size
     if round(spacing / surface.spacing) < finer:

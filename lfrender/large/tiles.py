@@ -1,5 +1,4 @@
-"""Parts of a large flat: which lenses and which pixels belong to a tile or a window, and reading
-these pixels.
+"""Parts of a large flat: lenses and pixels of tiles and windows, and their reading.
 
 Windows are spread over the flat, tiles make up all of it. Where the preset reduces the flat, parts
 begin where a pixel of the reduced flat does: their pixels are those that the whole reduced flat
@@ -40,8 +39,9 @@ Rectangle = tuple[int, int, int, int]
 
 
 class TileReader:
-    """Reads parts of a flat, in colour where the camera has a colour mosaic; copies open the file
-    themselves.
+    """Reads parts of a flat, in colour if the camera has a colour mosaic.
+
+    Copies in other processes open the file themselves.
     """
 
     def __init__(self, source: FlatSource, calibration: Calibration) -> None:
@@ -76,8 +76,9 @@ class TileReader:
         return self._source.read(*self._widen(part))
 
     def read(self, part: Rectangle, raw: Array | None = None) -> Array:
-        """(h, w, C) pixels of a part, the same as `check_flat` gives there; from those of
-        `read_raw` if given.
+        """Pixels (h, w, C) of a part, equal to those of `check_flat`.
+
+        They are computed from those of `read_raw` if these are given.
         """
         if raw is None:
             raw = self.read_raw(part)
@@ -90,8 +91,9 @@ class TileReader:
         )
 
     def _widen(self, part: Rectangle) -> Rectangle:
-        """The part with the pixels around it that demosaicing needs; it begins at even places of a
-        mosaic.
+        """The part, with the pixels around it that demosaicing needs.
+
+        It begins at even places of a mosaic.
         """
         if not self._mosaic:
             return part
@@ -109,8 +111,9 @@ class TileReader:
 
 @dataclass(frozen=True)
 class LensTile:
-    """A part of the flat that is analysed alone; corner and core are in pixels of the flat as it is
-    analysed.
+    """A part of the flat that is analysed alone.
+
+    Corner and core are in pixels of the flat as it is analysed.
     """
 
     factor: int
@@ -129,8 +132,9 @@ class LensTile:
         high: Iterable[int],
         core: Floats,
     ) -> LensTile:
-        """The part from pixel `low` to before `high` of the flat whose lattice, in pixels as read,
-        is `whole`.
+        """The part from pixel `low` to before `high` of a flat.
+
+        `whole` is the lattice of the flat in pixels as read.
         """
         corner = np.array(list(low), np.int64)
         end = np.minimum(np.array(list(high), np.int64) * factor, whole.image_size)
@@ -169,8 +173,9 @@ def lens_windows(whole: Lattice, factor: int) -> Iterator[LensTile]:
 def lens_tiles(
     whole: Lattice, factor: int, preset: Preset, pixel_bytes: int = 3, memory: float = 6e8
 ) -> Iterator[LensTile]:
-    """The flat, of `pixel_bytes` per pixel, cut into tiles that need `memory` [bytes] each, with
-    their halos.
+    """Cut a flat into tiles that need `memory` [bytes] each, with their halos.
+
+    The flat has `pixel_bytes` per pixel.
     """
     size = _reduced_size(whole, factor)
     pitch = whole.pitch / factor

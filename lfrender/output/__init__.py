@@ -1,5 +1,4 @@
-"""Files of results: pictures, stacks, animations, depth in colours, point clouds; their formats and
-metadata.
+"""Files of results: pictures, animations, depth in colours, point clouds, metadata.
 
 Also the errors of results against known truth, and the intermediate results of long runs.
 """

@@ -268,8 +268,9 @@ def _normals(view: _Posed) -> Floats:
 
 
 def _tracks(views: list[_Posed]) -> tuple[Floats, NDArray[np.uint8], Floats]:
-    """Points (n, 3) of one of 4 x 4 pixels of the middle view, colours (n, 3), and where views see
-    them.
+    """Points (n, 3) of the scene, their colours (n, 3), and where the views see them.
+
+    One of 4 x 4 pixels of the middle view becomes a point.
 
     The last, (views, n, 2) [px], is NaN where the depth of a view tells that something else is
     seen, or nothing.

@@ -1,5 +1,4 @@
-"""Views as pictures of pinhole cameras in the aperture of the main lens: intrinsics, positions, and
-depth.
+"""Views as pictures of pinhole cameras in the aperture of the main lens.
 
 A view reads the flat at `Y = X + q D / s` (docs/geometry.md), so that its parallax is linear in the
 virtual depth `D / s`, as is that of pinhole cameras in `1 / Z`. With the optics known, positions
@@ -105,8 +104,9 @@ class ViewRig:
     _pitch: float = field(repr=False)
 
     def depth(self, view: int, patch_size: Array, places: Floats) -> Singles:
-        """(h, w) float32: distance along the axis, in the unit of the rig, of what view number
-        `view` shows.
+        """Distance along the axis (h, w), float32, of the pixels of the view number `view`.
+
+        The unit is that of the rig.
 
         `patch_size` (h, w) [px] is drawn at `places` (h, w, 2) [px] on the microlens plane, `Y`. It
         is inf at infinity, NaN where the optics can image nothing.
@@ -148,8 +148,9 @@ def view_rig(
     virtual = virtual_depth(depth.surface.patch_size, depth.pitch)
 
     def cameras(aside: Floats, focal: float, centres: Floats) -> tuple[ViewCamera, ...]:
-        """Cameras at places `aside` (n, 2), with focal length and principal points (n, 2) on the
-        microlens plane.
+        """Cameras at places `aside` (n, 2).
+
+        Focal length and principal points (n, 2) are measured on the microlens plane.
         """
         fx, fy = focal / step
         points = (centres - moved - affine[:, 2]) / step

@@ -39,8 +39,9 @@ _PIXELS = {".mp4": "yuv420p", ".mov": "yuv422p10", ".yuv": "yuv420p10"}
 
 
 def write_moving(path: Path, pictures: Iterable[Rendering]) -> None:
-    """Write pictures as an animation or a film by the suffix, as fast as `write_animation`; whole
-    or not at all.
+    """Write pictures as an animation or a film by the suffix; whole or not at all.
+
+    Pictures follow each other as fast as in `write_animation`.
     """
     if not FORMATS[path.suffix.lower()].film:
         write_animation(path, pictures)
@@ -111,8 +112,9 @@ class FilmFile:
             self._file.metadata["comment"] = json.dumps({"software": "lfrender", **about})
 
     def add(self, pixels: Array, white: float | None = None) -> None:
-        """Add a picture (h, w) or (h, w, 3), uint8, uint16 or float; PictureError if it is unlike
-        the first one.
+        """Add a picture (h, w) or (h, w, 3), uint8, uint16 or float.
+
+        PictureError if it is of another kind than the first one.
         """
         kind = describe_pixels(pixels)
         self._first = self._first or kind

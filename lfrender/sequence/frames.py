@@ -60,8 +60,9 @@ class _Part:
 
     @cached_property
     def header(self) -> tuple[int, Fraction | None]:
-        """Number of frames, 0 of videos that cannot be read, and frames a second where the file has
-        them.
+        """Number of frames, and frames a second if the file has them.
+
+        The number is 0 for videos that cannot be read.
         """
         if self.pages is not None:
             return len(self.pages), None
@@ -111,8 +112,9 @@ class Frames:
 
     @property
     def rate(self) -> Fraction | None:
-        """Frames a second of the first video that has them, None if there is none; fewer where some
-        are left out.
+        """Frames a second of the first video that has them, None if there is none.
+
+        If frames are left out, the rate is lower.
         """
         rates = [part.header[1] for part in self.parts]
         for rate in filter(None, rates):
@@ -326,8 +328,9 @@ def _frame_name(path: Path, number: int) -> str:
 
 
 def _video_frames(path: Path, chosen: range) -> Iterator[Frame]:
-    """Chosen frames of a video in RGB; a damaged one, or the end of a damaged video, is a frame
-    that cannot be read.
+    """Chosen frames of a video in RGB.
+
+    A damaged frame, and the end of a damaged video, become a frame that cannot be read.
     """
     number = 0
     try:

@@ -1,5 +1,4 @@
-"""Views of a grid for each frame, and the files that other converters for lenslet video write them
-to.
+"""Views of a grid for each frame, in the files that other lenslet converters write.
 
 Raw video (TLCT): a file for each view, `v000-1920x1080.yuv` and so on, into which frames are
 written at their place, so that several of them can be worked on at once and an interrupted run goes
@@ -146,8 +145,9 @@ class ViewOutput:
         self._mark(name).write_text(f"{number}\n", encoding="utf-8")
 
     def finish(self, names: list[str]) -> None:
-        """Move the files of raw video into place; a frame that failed shows the one before it, or
-        the first of all.
+        """Move the files of raw video into place.
+
+        A frame that failed shows the frame before it, or the first one of all.
         """
         unfinished = self._raw_files(self._parts)
         numbers = {name: number for number, name in enumerate(names)}
@@ -170,7 +170,5 @@ class ViewOutput:
         return sorted(folder.glob(_VIDEOS)) * bool(self.raw)
 
     def _mark(self, name: str) -> Path:
-        """The file that says that the views of a frame are written; it holds the number of the
-        frame.
-        """
+        """The file that marks the views of a frame as written; it holds the frame number."""
         return self._parts / f"{name}.done"

@@ -38,8 +38,9 @@ class Workers:
         items: Iterable[Any],
         load: Callable[[Any, Any], Any] = lambda *_: None,
     ) -> Iterator[Any]:
-        """The results of `task(shared, item, load(shared, item))` in the order of the items, taken
-        as needed.
+        """Results of `task(shared, item, load(shared, item))` in the order of the items.
+
+        They are computed as they are taken.
 
         `shared`, as it is when the first item has been taken, is sent once to each worker of a
         cluster.
@@ -106,8 +107,9 @@ def ahead(function: Callable[[Any], Any], items: Iterable[Any], count: int) -> I
 
 
 class _Worker:
-    """What a worker process keeps from task to task. Tasks run one at a time: each uses several
-    threads itself.
+    """What a worker process keeps from task to task.
+
+    Tasks run one at a time, because each uses several threads.
     """
 
     lock = Lock()
@@ -120,8 +122,9 @@ def _identity(shared: Any) -> Any:
 
 
 def _work(task: Any, load: Any, shared: Any, item: Any, threads: int | None) -> Any:
-    """The result of one part. An error of this toolkit is returned, not raised: Dask would only try
-    it again.
+    """The result of one part.
+
+    An error of this toolkit is returned, because Dask would try a raised one again.
     """
     with _Worker.lock:
         if threads is not None:

@@ -46,8 +46,10 @@ def _blur_rows(plane, width, line):
 
 @njit(fastmath=False)
 def _blur_columns(plane, width, copy, totals):
-    """Box of a `width` [voxels] above 1 along y, in place; `copy` (h, w) and `totals` (w,) float64
-    are scratch."""
+    """Blur along y by a box of `width` [voxels] above 1, in place.
+
+    `copy` (h, w) and `totals` (w,) float64 are scratch.
+    """
     height, columns = plane.shape
     half = (width - 1.0) / 2.0
     whole = int(half)
@@ -78,8 +80,10 @@ def _blur_columns(plane, width, copy, totals):
 
 @njit(fastmath=False)
 def blur(plane, widths):
-    """Boxes of all `widths` (k,) [voxels] along both axes, in place; those up to 1 leave the plane
-    as it is."""
+    """Blur along both axes by boxes of all `widths` (k,) [voxels], in place.
+
+    Boxes up to 1 leave the plane as it is.
+    """
     copy = np.empty_like(plane)
     line = np.empty(plane.shape[1], plane.dtype)
     totals = np.empty(plane.shape[1], np.float64)

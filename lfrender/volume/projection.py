@@ -143,6 +143,8 @@ class Projector:
         values: Singles,
         norm: Singles,
     ) -> None:
-        """Multiply a volume in place by `adjoint(values) / norm`, plane by plane in little
-        memory."""
+        """Multiply a volume in place by `adjoint(values) / norm`.
+
+        This is done plane by plane, in little memory.
+        """
         _multiply(values, self.slopes, self.widths, self.rays, norm, volume)

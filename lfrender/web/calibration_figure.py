@@ -59,8 +59,9 @@ def calibration_panels(flat: NDArray, calibration: Calibration) -> Any:
 
 
 def flat_part(flat: NDArray, middle: NDArray[np.float64], side: float) -> dict[str, Any]:
-    """The part of a flat about a place, `side` pixels across, with all its contrast, for the macro
-    `crop`.
+    """A part of the flat, `side` pixels across, with all its contrast.
+
+    It is drawn by the macro `crop`.
     """
     size = np.array(flat.shape[1::-1])
     reach = np.minimum(np.round(side).astype(int), size)
@@ -125,8 +126,9 @@ def _falloff(calibration: Calibration) -> dict[str, Any] | None:
 
 
 def _gain(calibration: Calibration) -> str:
-    """The gain map over a corner of the flat of some microimages, unknown pixels in pink; ""
-    without one.
+    """The gain map of some microimages in a corner of the flat, "" without a map.
+
+    Unknown pixels are pink.
     """
     if calibration.gain_map is None:
         return ""

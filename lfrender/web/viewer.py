@@ -106,8 +106,9 @@ def write_viewer(
 
 
 class FlatPages:
-    """Viewers of several flats, each of which leads to the one before and the next: for
-    `page_routes`, or a folder.
+    """Viewers of several flats, each with links to its neighbours.
+
+    They serve `page_routes`, or are written into a folder.
 
     The pages are there at once. A flat is loaded when its page asks for its data, then the next
     one, one at a time. The page of one of several flats that cannot be loaded says why.
