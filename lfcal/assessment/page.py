@@ -11,7 +11,7 @@ import numpy as np
 
 from ..camera.plotting import TYPE_COLOURS, draw_circles
 from ..gain.gain_map import nearest_half
-from ..runtime.arrays import evenly
+from ..runtime.arrays import ENOUGH_LENSES, evenly
 from ..runtime.output_file import check_output
 from ..runtime.page import to_svg, write_page
 
@@ -22,12 +22,10 @@ __all__ = ["write_assessment"]
 
 # [inch] Size of a drawing: the page shows two side by side, with text as large as its own.
 _SIZE = (4.4, 3.0)
-# Factors that an angle is enlarged by, and the largest one that is drawn [degrees].
-_ENLARGED = (1, 3, 10, 30)
-_STEEPEST = 30
-# Area of the mark of a tile [points^2], and marks of a drawing at most.
-_TILE = 150
-_MOST_MARKS = 4000
+# Angle to which smaller ones are enlarged, if a factor of 100 suffices [degrees].
+_DRAWN_ANGLE = 10
+# Area of the mark of a tile [points^2].
+_TILE = 100
 # Range of an axis over that of its data.
 _MARGIN = 1.1
 
@@ -58,8 +56,8 @@ def _draw(draw: Callable[[Any, Assessment], None], found: Assessment) -> str:
 def _draw_rotation(axes: Any, found: Assessment) -> None:
     """Rows of the sensor (dashed) and of lenses, with their angle enlarged."""
     value = found.rotation.value
-    times = next((t for t in _ENLARGED if abs(value) * t >= 3), 100)
-    angle = np.radians(np.clip(value * times, -_STEEPEST, _STEEPEST))
+    times = int(np.clip(_DRAWN_ANGLE / max(abs(value), 1e-6), 1, 100))
+    angle = np.radians(value * times)
     along = np.linspace(-1, 1, 12)
     for offset in (-0.5, 0.0, 0.5):
         x = along * np.cos(angle) - offset * np.sin(angle)
@@ -163,7 +161,7 @@ def _draw_evenness(axes: Any, found: Assessment) -> None:
 def _draw_dirt(axes: Any, found: Assessment) -> None:
     defects = found.calibration.defects
     axes.plot(
-        *defects.pixels[evenly(len(defects.pixels), _MOST_MARKS)].T,
+        *defects.pixels[evenly(len(defects.pixels), ENOUGH_LENSES)].T,
         ".",
         color="firebrick",
         markersize=2,
@@ -180,7 +178,7 @@ def _draw_dirt(axes: Any, found: Assessment) -> None:
 def _map(
     axes: Any, found: Assessment, places: Any, values: Any, title: str, size: float = 6
 ) -> None:
-    every = evenly(len(places), _MOST_MARKS)
+    every = evenly(len(places), ENOUGH_LENSES)
     axes.figure.colorbar(
         axes.scatter(*places[every].T, c=values[every], s=size, cmap="viridis"), ax=axes
     )

@@ -24,7 +24,7 @@ from ..lattice.robust_fit import fit_affine
 from ..runtime.errors import CameraFileError
 from .text_files import LARGEST
 
-__all__ = ["format_centre_table", "parse_centre_table"]
+__all__ = ["ROUNDING", "format_centre_table", "parse_centre_table"]
 
 _COLUMNS = ("x", "y", "radius", "type")
 _OTHER_NAMES = {"cx": "x", "cy": "y", "r": "radius", "d": "diameter", "kind": "type"}
@@ -36,11 +36,11 @@ _MOST_RMS = 0.1
 _DOUBTFUL_RMS = 0.2
 # Share of the centres that steps of the lattice must lead to.
 _LEAST_LINKED = 0.9
-# Centres, and [px] distance from a straight lattice, from which on a distortion is fitted; and the
-# distance that must be left of it.
+# Fewest centres that a distortion is fitted to, and the share of the misfit that may remain.
 _FEWEST = 50
-_ROUNDING = 1e-3
 _LEAST_GAIN = 0.9
+#: Distances of centres that come from rounding in a file [px].
+ROUNDING = 1e-3
 # Share of the lenses whose types must repeat.
 _LEAST_REPEATING = 0.99
 
@@ -199,7 +199,7 @@ def _fit_lattice(index: Array, centres: Array, size: tuple[int, int]) -> tuple[L
     straight, weight = fit_affine(design, centres, np.ones(len(index)))
     misfit = rms(design, straight, weight)
     bend = None
-    if len(index) > _FEWEST and misfit > _ROUNDING:
+    if len(index) > _FEWEST and misfit > ROUNDING:
         zero = Distortion.zero(size)
         zero = replace(zero, general=np.zeros((2, GENERAL_TERMS)), middle=zero.centre)
         bent: Any = straight

@@ -22,14 +22,11 @@ from ..runtime.errors import CameraFileError, check_path
 from ..runtime.image_formats import IMAGE_SUFFIXES
 from ..runtime.input_file import read_text
 from ..runtime.output_file import atomic_write, check_output
-from .centre_table import format_centre_table, parse_centre_table
+from .centre_table import ROUNDING, format_centre_table, parse_centre_table
 from .text_files import Mode, format_key_value, parse_key_value
 from .xml_files import format_xml, parse_xml
 
 __all__ = ["FORMATS", "CameraFormat", "convert", "load"]
-
-# [px] a format that moves centres further cannot hold the lattice.
-_TOLERANCE = 1e-3
 
 
 def _parse_json(text: str, _image_size: tuple[int, int] | None) -> Calibration:
@@ -171,8 +168,8 @@ def convert(
         index = again.to_index(lattice.centres())
         apart = np.abs((index - np.rint(index)) @ again.basis).max()
         cell = abs(abs(np.linalg.det(again.basis) / np.linalg.det(lattice.basis)) - 1)
-        if not max(apart, cell) <= _TOLERANCE:
-            problem = f"this format cannot hold the lattice to {_TOLERANCE} px; write .json or .csv"
+        if not max(apart, cell) <= ROUNDING:
+            problem = f"this format cannot hold the lattice to {ROUNDING} px; write .json or .csv"
             raise CameraFileError(f"{path}: {problem}")
     with atomic_write(path) as temporary:
         temporary.write_text(text, encoding="utf-8")

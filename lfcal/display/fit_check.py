@@ -13,12 +13,11 @@ from numpy.typing import ArrayLike
 
 from ..camera.calibration import Calibration
 from ..lattice.lattice import Lattice
-from ..runtime.arrays import Floats, Frozen, Singles, evenly
+from ..runtime.arrays import ENOUGH_LENSES, Floats, Frozen, Singles, evenly
 from ..runtime.errors import CalibrationError
 from ..runtime.page import html_table
 from .compare import REGIONS, nine_places
 from .flat_lattice import (
-    LENSES,
     MOST_SHIFT,
     Misfit,
     ReducedFlat,
@@ -172,7 +171,7 @@ def _measure(
     if not fit.half_difference < _HALVES * given.pitch:
         return np.full((3, 3, 2), np.nan)
     found = Lattice(fit.origin, fit.basis, given.image_size, given.radius, fit.distortion)
-    index = given.indices()[evenly(len(given), LENSES)]
+    index = given.indices()[evenly(len(given), ENOUGH_LENSES)]
     centres = given.points(index)
     # Lenses are counted from the middle one, so that all offsets point to the same side.
     own = found.to_index(centres)

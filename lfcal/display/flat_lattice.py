@@ -16,14 +16,13 @@ from numpy.typing import ArrayLike
 from ..camera.calibration import Calibration
 from ..lattice.cell import nearest_offsets
 from ..lattice.lattice import Lattice
-from ..runtime.arrays import Array, Floats, Singles, evenly
+from ..runtime.arrays import ENOUGH_LENSES, Array, Floats, Singles, evenly
 from ..runtime.errors import CAMERA_ADVICE, CalibrationError, FlatError, check_type
 
 if TYPE_CHECKING:
     from ..detection.search import Candidate
 
 __all__ = [
-    "LENSES",
     "MOST_SHIFT",
     "Misfit",
     "ReducedFlat",
@@ -49,8 +48,6 @@ _CORNER = 0.2
 _PITCH = 18
 _LEAST_PITCH = 10
 _PIXELS = 4e6
-# Lenses to which a straight lattice is fitted.
-LENSES = 4000
 
 
 class ReducedFlat(NamedTuple):
@@ -133,7 +130,7 @@ class Misfit(NamedTuple):
 def compare_lattices(reduced: ReducedFlat, given: Lattice) -> tuple[Lattice | None, Misfit | None]:
     """The lattice of the flat, None if none is found, and its offset, None if its cells differ."""
     if given.distortion is not None:
-        index = given.indices()[evenly(len(given), LENSES)]
+        index = given.indices()[evenly(len(given), ENOUGH_LENSES)]
         design = np.column_stack([np.ones(len(index)), index])
         line: Array = np.linalg.lstsq(design, given.points(index), rcond=None)[0]
         given = Lattice(line[0], line[1:], given.image_size, given.radius)

@@ -10,13 +10,11 @@ from numpy.typing import NDArray
 
 from ..lattice.lattice import Lattice
 from ..lattice.robust_fit import TUKEY_CUTOFF, biweight, robust_sigma
-from ..runtime.arrays import Floats, evenly
+from ..runtime.arrays import ENOUGH_LENSES, Floats, evenly
 from .gain_map import count_terms, field_monomials
 
 __all__ = ["fit_light", "fit_light_slope"]
 
-# Lenses that the polynomial is fitted to, at most: they tell all factors to a few thousandths.
-_LENSES = 4000
 # Degrees that are tried, and lenses for each of their factors.
 _DEGREES = (4, 2)
 _LENSES_PER_TERM = 12
@@ -28,7 +26,7 @@ def fit_light(lights: NDArray[np.floating], centres: Floats, lattice: Lattice) -
     Returns the factors (terms,) of `field_monomials`; the degree is four if there are enough
     lenses. The lenses are at `centres` (n, 2) [px].
     """
-    some = evenly(len(lights), _LENSES)
+    some = evenly(len(lights), ENOUGH_LENSES)
     log = np.log(np.maximum(lights[some], 1e-12))
     count = len(log)
     degree = next((d for d in _DEGREES if count >= _LENSES_PER_TERM * count_terms(d)), 0)

@@ -10,34 +10,32 @@ of the nearest lenses by more than these scatter.
 
 from __future__ import annotations
 
+from statistics import NormalDist
+
 import numpy as np
 
 from ..gain.gain_map import Defects
 from ..gain.rows import RegionGain
 from ..lattice.lattice import Lattice
 from ..lattice.robust_fit import MAD_TO_SIGMA, SIGNIFICANT
-from ..runtime.arrays import Booleans, Integers, Singles, evenly
+from ..runtime.arrays import ENOUGH_PIXELS, NINE_TENTHS, Booleans, Integers, Singles, evenly
 from .lens_light import LensLights
 
 __all__ = ["find_defects"]
 
 # Standard deviation of normal values over the absolute deviation that a tenth of them exceed.
-_TENTH_TO_SIGMA = 1 / 1.6449
+_TENTH_TO_SIGMA = 1 / NormalDist().inv_cdf(NINE_TENTHS[2])
 # Levels of light, at each of which the noise is measured.
 _LEVELS = 32
 # [px] Sides of the squares over which residuals are averaged.
 _SQUARES = (3, 7)
 # Places that are compared at once, so that memory does not grow with the flat.
 _PART = 20_000
-# Pixels that the noise is measured on.
-_SAMPLE = 1_000_000
 # Residuals of half a per cent of the light harm no picture; lenses differ by three times as much.
 _HARMLESS = 0.005
 # Lenses that a place is compared in, every third one each way, as dust may cover neighbours.
 _COMPARED = 36
 _APART = 3
-# Ranks of their values: a tenth of them lies outside.
-_RANKS = (0.05, 0.5, 0.95)
 
 
 def find_defects(picture: Singles, lattice: Lattice, lights: LensLights) -> tuple[Defects, float]:
@@ -104,7 +102,7 @@ def _compute_residuals(
     residual = np.subtract(picture, gain, out=gain)
     middle, mean = np.zeros((2, _LEVELS), np.float32)
     scale, even = np.ones((2, _LEVELS), np.float32)
-    sample = evenly(residual.size, _SAMPLE)
+    sample = evenly(residual.size, ENOUGH_PIXELS)
     some = residual.ravel()[sample]
     of = np.where(unlit, _LEVELS, level).ravel()[sample]
     for k in range(_LEVELS):
@@ -160,7 +158,7 @@ def _differs_from_lenses(values: Singles, places: Integers, lattice: Lattice) ->
     # Unlit lenses tell nothing; NaN is sorted to the end.
     others.sort(axis=1)
     lit = np.isfinite(others).sum(1)
-    ranks = np.rint(np.maximum(lit - 1, 0)[:, None] * _RANKS).astype(np.int64)
+    ranks = np.rint(np.maximum(lit - 1, 0)[:, None] * NINE_TENTHS).astype(np.int64)
     low, middle, high = np.take_along_axis(others, ranks, axis=1).T
     own = values[places[:, 1], places[:, 0]]
     # Their scatter to the same side: types of lenses, rims.

@@ -31,10 +31,8 @@ __all__ = ["LensLights", "find_unlit_in_scene", "measure_lens_lights"]
 
 # Relative light from which on pixels tell that of a lens: rims depend more on its place.
 _FLAT_TOP = 0.8
-# Pixels of each lens that are measured, and fewer where there are many lenses.
+# Pixels of each lens that are measured.
 _PIXELS = 48
-_FEWER_PIXELS = 12
-_MANY_LENSES = 1e6
 # Rows that are read at once of a flat that is not in memory.
 _BAND = 128
 # Lenses that percentiles and medians are taken of.
@@ -158,10 +156,7 @@ def _measure(
     """Measure some pixels of all lenses."""
     cell = Cell.of(lattice)
     out = np.zeros((len(_LensMeasurements._fields), len(centres)), np.float32)
-    pixels = _FEWER_PIXELS
-    if len(centres) < _MANY_LENSES:
-        pixels = _PIXELS
-    stride = max(1, round(math.sqrt(abs(np.linalg.det(lattice.basis)) / pixels)))
+    stride = max(1, round(math.sqrt(abs(np.linalg.det(lattice.basis)) / _PIXELS)))
     lenses = gain.describe(centres, lattice)
     kinds = np.zeros(len(centres), np.int8)
     if gain.type_cell.size:

@@ -21,15 +21,13 @@ from ..camera.lens_types import LensTypes
 from ..gain.gain_map import GainMap
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops
-from ..runtime.arrays import Floats, Integers, Singles
+from ..runtime.arrays import ENOUGH_PIXELS, Floats, Integers, Singles
 from .residuals import CLIPPED_PIXELS, CORES, Sample, clipping_luminance, draw_sample
 
 __all__ = ["FEW_PIXELS", "ProfilePixels", "fit_scene_profile", "fit_type_profiles", "order_by_rims"]
 
 #: Rings with a smaller share of the pixels of the fullest ring are interpolated.
 FEW_PIXELS = 1e-3
-# Pixels of the sample.
-_PIXELS = 1e6
 # Level of a window over the mean, below which it is dark.
 _DARK = 0.02
 # [px] Width over which profiles of types are smoothed.
@@ -54,7 +52,7 @@ class ProfilePixels(NamedTuple):
 
         They depend on the rim and the cutting disc of the gain map, not on its profile.
         """
-        sample = draw_sample(lattice, picture, _PIXELS, True)
+        sample = draw_sample(lattice, picture, ENOUGH_PIXELS, True)
         _, stretched, through = sample.evaluate(gain)
         lit = through >= 0.5
         clipped = (sample.value >= clipping_luminance(sample.value, scene)) & lit

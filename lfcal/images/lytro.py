@@ -25,7 +25,10 @@ _HEAD = struct.Struct(">4s4sII")
 _SHA1_BYTES = 80  # "sha1-", 40 digits, zeros
 # Width, height and bits of sensors by the bytes of their packed pixels, for archives without
 # descriptions.
-_SENSORS = {3280 * 3280 * 12 // 8: (3280, 3280, 12), 7728 * 5368 * 10 // 8: (7728, 5368, 10)}
+_SENSORS = {
+    width * height * bits // 8: (width, height, bits)
+    for width, height, bits in ((3280, 3280, 12), (7728, 5368, 10))
+}
 
 _REMEDY = (
     "these are made from the raw one, which lies beside it in the library of Lytro Desktop and on "

@@ -43,10 +43,9 @@ _PILLOW_NAMES = {
     "PGM": "Ppm",
     "PPM": "Ppm",
 }
-# Positions in a PNG file of the bits of a sample, and of the kind of its colours: 0 is grey, 4 grey
+# Position in a PNG file of the bits of a sample; the kind of its colours follows: 0 is grey, 4 grey
 # with alpha.
 _PNG_BITS = 24
-_PNG_COLOURS = 25
 
 
 def check_size(width: int, height: int) -> None:
@@ -139,7 +138,7 @@ def decode_picture(data: bytes, name: str) -> NDArray[Any]:
         # Decoders do not notice a missing end; the checksums of all chunks do.
         image.verify()
         if data[_PNG_BITS] > 8:
-            return decode_with_opencv(data, grey=data[_PNG_COLOURS] in (0, 4))
+            return decode_with_opencv(data, grey=data[_PNG_BITS + 1] in (0, 4))
         image = _open_with_pillow(data, name)
     elif name != "JPEG":
         # OpenCV needs a character after the last number of a text file.

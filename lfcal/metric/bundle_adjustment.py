@@ -56,8 +56,8 @@ _GROUPS: dict[tuple[str, ...], tuple[str, ...]] = {
     SHAPE[:3]: (),
     SHAPE[3:]: (),
 }
-# Median length of a standard normal vector in the plane: the root of 2 ln 2.
-_MEDIAN_LENGTH = 1.1774
+# Median length of a standard normal vector in the plane.
+_MEDIAN_LENGTH = np.sqrt(2 * np.log(2))
 # Scale of the Cauchy loss, and residuals that are outliers [standard deviations]: normal errors
 # exceed the second once in 25,000 times.
 _CAUCHY = 3

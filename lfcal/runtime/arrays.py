@@ -12,8 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
+    "ENOUGH_LENSES",
+    "ENOUGH_PIXELS",
     "LARGEST_BLOCK",
     "MOST",
+    "NINE_TENTHS",
     "Array",
     "Booleans",
     "Exposure",
@@ -32,6 +35,11 @@ __all__ = [
 
 # Of an array in a camera file [bytes]: the light of three million lenses has 6 MB.
 LARGEST_BLOCK = 1 << 28
+#: Pixels, and lenses, that statistics of a whole flat are taken of: more do not change them.
+ENOUGH_PIXELS = 1_000_000
+ENOUGH_LENSES = 4000
+#: Quantiles between which nine tenths of values lie, and the middle.
+NINE_TENTHS = (0.05, 0.5, 0.95)
 #: Percentiles between which the values of a scale lie: errors of single values do not widen it.
 MOST = (1, 99)
 # Crops of flats are brightened by this gamma: microimages of dark scenes stay visible.
@@ -143,7 +151,7 @@ def exposure_gain(
         return float(2**exposure)
     if pixels.dtype == np.uint8:
         return 1.0
-    step = max(1, int(np.sqrt(pixels.size / 1_000_000)))
+    step = max(1, int(np.sqrt(pixels.size / ENOUGH_PIXELS)))
     bright = float(np.percentile(np.nan_to_num(pixels[::step, ::step]), 99.5)) / 0.9
     return float(np.clip(white_of(pixels, white) / max(bright, 1e-12), 1, 1000))
 

@@ -18,7 +18,7 @@ from ..lattice.cell import Cell
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops, find_lit_lenses, sample_mask
 from ..lattice.robust_fit import SIGNIFICANT
-from ..runtime.arrays import Floats, Integers, Singles
+from ..runtime.arrays import ENOUGH_PIXELS, Floats, Integers, Singles
 from ..runtime.errors import CalibrationError
 from .kernel import Rings, Sums, Windows, add_lenses
 
@@ -41,8 +41,7 @@ _CORE = 0.4
 _FEW = 0.01
 #: Lenses that are darker than this share of the bright ones (95 %) are not lit.
 UNLIT = 0.03
-# Pixels that a mean over all lenses is taken from, and fewer for a slope.
-_PIXELS = 1e6
+# Pixels that a slope is measured on.
 _SLOPE_PIXELS = 2e5
 
 
@@ -290,7 +289,7 @@ def cut_out(
 
 def _mean_profile(lenses: Microimages) -> Floats:
     """(r,) mean radial profile of the lenses."""
-    some = lenses.thin(_PIXELS)
+    some = lenses.thin(ENOUGH_PIXELS)
     x, y = some.places()
     inside = np.ones(some.light.shape, dtype=bool)
     for across, down in some.cell.normals:

@@ -13,13 +13,12 @@ import numpy as np
 from ..gain.gain_map import field_place
 from ..lattice.lattice import Lattice
 from ..lattice.robust_fit import SIGNIFICANT
-from ..runtime.arrays import Booleans, Floats, evenly
+from ..runtime.arrays import ENOUGH_PIXELS, Booleans, Floats, evenly
 from .microimages import Microimages
 
 __all__ = ["CatEye", "compare_pixels", "measure_centroid_offset", "measure_narrowing"]
 
-# Pixels, and lenses, that narrowing and centroids are measured on.
-_PIXELS = 1e6
+# Lenses that centroids are measured on.
 _LENSES = 300
 # Slope of the profile, over the steepest one, from which on pixels tell where an edge is.
 _STEEP = 0.1
@@ -79,7 +78,7 @@ def measure_narrowing(lenses: Microimages, lattice: Lattice) -> tuple[float, flo
     with the field: neither a lattice nor its distortion, neither blur nor the shape of pixels give
     whole discs any.
     """
-    few = lenses.thin(_PIXELS)
+    few = lenses.thin(ENOUGH_PIXELS)
     x, y = few.places()
     far = np.maximum(np.hypot(x, y), 1e-6)
     residual, inside, (slope, weight) = compare_pixels(few)

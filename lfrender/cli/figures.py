@@ -28,8 +28,6 @@ __all__ = [
 # Below this pitch [px] most lenses of a scene of several depths were left unresolved (HCI antinous,
 # 9 px: 76 %).
 _FEW_PIXELS = 12
-# Ends and middle of the range that holds nine tenths of the lenses, as quantiles.
-_NINE_TENTHS = (0.05, 0.5, 0.95)
 # Shares below this are 0.0 % with the digits that are printed, and are left out.
 _SMALLEST_SHARE = 0.0005
 
@@ -94,7 +92,9 @@ def capture_figures(
         known = known[~np.isnan(known)]
         low = middle = high = float("nan")
         if known.size:
-            low, middle, high = np.quantile(known, _NINE_TENTHS, method="nearest").tolist()
+            from lfcal.runtime.arrays import NINE_TENTHS
+
+            low, middle, high = np.quantile(known, NINE_TENTHS, method="nearest").tolist()
         figures |= {
             "distance_median": middle,
             "distance_range": [low, high],

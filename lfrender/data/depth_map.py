@@ -29,6 +29,7 @@ __all__ = [
     "BINOCULAR",
     "DEPTH_ADVICE",
     "MODES",
+    "MODE_COLOURS",
     "RARE_MODE",
     "REASONS",
     "TELESCOPIC",
@@ -61,8 +62,8 @@ DEPTH_ADVICE = "lfrender.analyze makes one of a flat, DepthMap.load reads one fr
 _FULL_RESOLUTION = 0.98
 #: Share of the lenses below which a mode is taken for errors.
 RARE_MODE = 0.01
-# Grey of unresolved places in plots, as in the maps of `lfrender.output.depth_picture`.
-_GREY = np.full(3, 150 / 255)
+#: Colours of the modes, which colour-blind eyes can tell apart too.
+MODE_COLOURS = {1: (230, 126, 34), -1: (41, 112, 201), 0: (150, 150, 150)}
 # Least patch size whose magnification is shown [pitches].
 _LEAST_PATCH = 1e-3
 # Least ratio between the ends of a scale of magnifications.
@@ -263,7 +264,7 @@ class DepthMap(Frozen):
         drawn = show_on_axes(
             ax, shown, first, last, "Magnification", interpolation="nearest", **look
         )
-        drawn.axes.set_facecolor(_GREY)
+        drawn.axes.set_facecolor(np.array(MODE_COLOURS[0]) / 255)
         label = "magnification M (grey: unresolved)"
         bar = drawn.figure.colorbar(drawn, ax=drawn.axes, label=label)
         ticks = np.geomspace(low, high, 5)

@@ -11,17 +11,15 @@ from lfcal import Lattice
 from lfcal.runtime.arrays import Array
 
 from ..data.dense_depth import dense_depth
-from ..data.depth_map import DepthMap, default_scale, finite, magnification_range
+from ..data.depth_map import MODE_COLOURS, DepthMap, default_scale, finite, magnification_range
 from ..data.rendering import Rendering, scene_points
 from ..flat.lens_graph import nearest_lens
 from ..runtime.types import Size
 
-__all__ = ["MODE_COLOURS", "colour_scale", "depth_picture", "lens_maps", "magnification_limits"]
+__all__ = ["colour_scale", "depth_picture", "lens_maps", "magnification_limits"]
 
 # Ends of the scale of a depth map without depth.
 _LIMITS_OF_NONE = (1.0, 10.0)
-#: Colours of the modes, which colour-blind eyes can tell apart too.
-MODE_COLOURS = {1: (230, 126, 34), -1: (41, 112, 201), 0: (150, 150, 150)}
 
 
 def depth_picture(

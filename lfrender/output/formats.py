@@ -29,6 +29,7 @@ from ..runtime.types import AnyPath
 
 __all__ = [
     "FORMATS",
+    "QUALITY",
     "TIFF_TILE",
     "EmbeddedMetadata",
     "Page",
@@ -48,8 +49,8 @@ __all__ = [
 TIFF_TILE = 256
 # Tags of width and height of the flat, which are not those of the picture (TIFF, EXIF).
 _SIZE_TAGS = ("ImageWidth", "ImageLength", "ExifImageWidth", "ExifImageHeight")
-# Quality of JPEG and WebP: errors of two grey levels.
-_QUALITY = 95
+#: Quality of JPEG and WebP: errors of two grey levels.
+QUALITY = 95
 # Signature and first chunk (IHDR) of a PNG file [bytes]; other chunks stand behind them.
 _PNG_HEAD = 33
 # Bytes of pixels that plain TIFF holds: it counts with 32 bits, and needs room for its tags.
@@ -310,7 +311,7 @@ def _write_small(
     if path.suffix.lower() != ".webp":
         more["comment"] = text.encode("ascii")
     try:
-        Image.fromarray(_in_colour(pixels)).save(path, quality=_QUALITY, **more)
+        Image.fromarray(_in_colour(pixels)).save(path, quality=QUALITY, **more)
     except (OSError, ValueError) as error:
         size = f"{pixels.shape[1]} x {pixels.shape[0]} px"
         raise PictureError(

@@ -17,7 +17,7 @@ from lfcal.runtime.output_file import atomic_write, check_folder, make_folder, r
 from ..data.rendering import PICTURE_ADVICE, Rendering, check_pictures, pixels_between
 from ..depth.region import check_region
 from ..runtime.types import AnyPath, Size
-from .formats import FORMATS, PictureError, check_format
+from .formats import FORMATS, QUALITY, PictureError, check_format
 from .picture import Brightness, default_exposure, write_picture
 
 __all__ = [
@@ -34,8 +34,6 @@ __all__ = [
 
 #: How long an animation shows a picture.
 MILLISECONDS = 80
-# Of animated WebP.
-_QUALITY = 90
 # Names of the files of a grid, as a regular expression.
 _GRID_FILES = r"row\d+_column\d+\.\w+"
 
@@ -238,7 +236,7 @@ def write_animation(
     suffix = Path(path).suffix.lower()
     options: dict[str, Any] = {}
     if suffix == ".webp":
-        options = {"lossless": False, "quality": _QUALITY}
+        options = {"lossless": False, "quality": QUALITY}
     if suffix == ".gif":
         # All frames share one palette: with a palette each, colours would flicker.
         palette = frames[0].convert("RGB").quantize()

@@ -15,9 +15,9 @@ from lfcal.runtime.arrays import exposure_gain, to_eight_bits
 from lfcal.runtime.output_file import atomic_write
 from lfcal.runtime.page import to_svg
 
-from ..data.depth_map import BINOCULAR, MODES, REASONS, TELESCOPIC, DepthMap, finite
+from ..data.depth_map import BINOCULAR, MODE_COLOURS, MODES, REASONS, TELESCOPIC, DepthMap, finite
 from ..data.rendering import PictureGrid
-from ..output.depth_picture import MODE_COLOURS, lens_maps, magnification_limits
+from ..output.depth_picture import lens_maps, magnification_limits
 from .calibration_figure import calibration_panels, flat_part
 from .report_pictures import ReportPictures, data_urls, draw_pictures, picture_url, reduce_picture
 from .templates import Markup, fill, read_asset
@@ -26,11 +26,10 @@ __all__ = ["write_report"]
 
 # Number of bars of the histogram.
 _BINS = 40
-# Largest width of the maps [px], and largest number of pixels per pitch: each lens has one colour.
-_MAP_WIDTH = 1100
+# Largest width of the maps and of the flat [px], twice that of their column on the page; largest
+# number of pixels per pitch of the maps: each lens has one colour.
+_WIDTH = 1120
 _MAP_SCALE = 12.0
-# Largest width of the flat on the page [px], twice that of its column.
-_FLAT_WIDTH = 1120
 # Characters for the pictures of a page: mail programs and browsers accept pages of 15 MB.
 _ROOM = 14_500_000
 # Side of the crop of the flat, and of the window in which detail is looked for [pitches].
@@ -81,7 +80,7 @@ def write_report(
     """
     pictures = pictures or draw_pictures(flat, calibration, depth)
     lattice = calibration.lattice
-    scale = min(_MAP_SCALE, _MAP_WIDTH * lattice.pitch / flat.shape[1])
+    scale = min(_MAP_SCALE, _WIDTH * lattice.pitch / flat.shape[1])
     grid = PictureGrid(lattice.image_size, lattice.pitch, scale)
     maps = lens_maps(depth, lattice, grid.affine(), grid.size[::-1])
     charts = {name: picture_url(picture, ".png") for name, picture in maps.items()}
@@ -91,7 +90,7 @@ def write_report(
         **{name: picture.image for name, picture in pictures.fixed.items()},
         "traditional": pictures.traditional.image,
         **(compare or {}),
-        "flat": reduce_picture(raw, min(1.0, _FLAT_WIDTH / flat.shape[1])),
+        "flat": reduce_picture(raw, min(1.0, _WIDTH / flat.shape[1])),
     }
     gain = exposure_gain(pictures.sharp.image, calibration.white_level)
     panels = calibration_panels(flat, calibration)

@@ -7,7 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 
 from lfcal import Lattice
-from lfrender.output.depth_picture import MODE_COLOURS, lens_maps
+from lfrender.data.depth_map import MODE_COLOURS
+from lfrender.output.depth_picture import lens_maps
 
 
 def test_each_pixel_shows_the_mode_and_magnification_of_its_nearest_lens():
