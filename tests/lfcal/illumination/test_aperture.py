@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import pytest
 
 import lfcal
@@ -10,9 +12,15 @@ from data_synth import SCENES, Camera, simulate
 SIZE = (500, 420)
 
 
+@cache
 def _capture(fill):
     camera = Camera.design(SIZE, 23.0, "hex", 3.0, microimage_fill=fill)
     return simulate(SCENES["house"](camera), camera, samples=4, noise=(5000, 8))
+
+
+@cache
+def _camera(fill):
+    return lfcal.calibrate(_capture(fill).white, kind="white")
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +32,7 @@ def wide():
 def test_a_white_image_through_a_closed_aperture_gives_the_lattice_and_the_flat_the_radius(
     wide, fill
 ):
-    camera = lfcal.calibrate(_capture(fill).white, kind="white")
+    camera = _camera(fill)
     wider = lfcal.widen_microimages(camera, wide.flat)
     assert camera.lattice.radius == pytest.approx(fill / 2 * 23, abs=0.2)
     assert wider.lattice.radius == pytest.approx(0.97 / 2 * 23, abs=0.35)
@@ -34,13 +42,12 @@ def test_a_white_image_through_a_closed_aperture_gives_the_lattice_and_the_flat_
 
 
 def test_a_camera_of_the_same_aperture_stays_the_same_object(wide):
-    small = _capture(0.6)
-    for capture in (wide, small):
-        camera = lfcal.calibrate(capture.white)
-        assert lfcal.widen_microimages(camera, capture.flat) is camera
+    for fill in (0.97, 0.6):
+        camera = _camera(fill)
+        assert lfcal.widen_microimages(camera, _capture(fill).flat) is camera
 
 
 def test_a_flat_of_another_size_is_refused(wide):
-    camera = lfcal.calibrate(wide.white)
+    camera = _camera(0.97)
     with pytest.raises(lfcal.FlatError, match="the camera is for 500 x 420 px"):
         lfcal.widen_microimages(camera, wide.flat[:-2])
