@@ -104,7 +104,7 @@ def _fit_centres(camera: Calibration) -> tuple[Array, Array, Array, float] | Non
     column, row = np.clip((centres / lattice.image_size * _TILES).astype(int), 0, _TILES - 1).T
     _, tile, count = np.unique(_TILES * row + column, return_inverse=True, return_counts=True)
     means = np.array([np.bincount(tile, values) / count for values in table.T]).T
-    # Few tiles tell no third order.
+    # A few tiles do not determine the third order.
     terms = table.shape[1] - 2
     design = means[:, : terms if len(count) >= 2 * terms else 6]
     target = means[:, terms:]

@@ -27,8 +27,8 @@ __all__ = [
 ]
 
 Vector = NDArray[np.float64]
-# [standard errors] within which a value counts as zero, and from which on two measurements
-# contradict each other.
+# [standard errors] A smaller value counts as zero; a larger difference of two measurements is a
+# contradiction.
 SURE = 2.0
 _APART = 4.0
 # Error of the radii where microimages overlap [px]: up to 0.21 on simulated cameras.
@@ -40,9 +40,9 @@ _LEAST_TILT = 0.01
 _SAME_WAY = 0.7
 _SAME_WAY_OF_RIMS = 0.8
 _RIM_SHARE = (0.15, 1.5)
-# [rim blur] Change of the rims over the field that is told.
+# [rim blur] Least change of the rims over the field that is reported.
 _LEAST_CHANGE = 0.1
-# [pitch], [radius] Gaps and cuts that are told, and errors of gaps that are small.
+# [pitch], [radius] Least gaps and cuts that are reported; errors of gaps that count as small.
 LEAST_GAP = 0.02
 _SURE_GAP = 0.05
 _WAYS = ("right", "lower right", "bottom", "lower left", "left", "upper left", "top", "upper right")

@@ -26,11 +26,11 @@ _CUT_FAULT = 0.1
 _NO_CUT_FAULT = 0.3
 # [radius] Radius in the corners below which stopping the lens down does not help.
 _LEAST_LEFT = 0.3
-# Rows of a flat that tell its brightness; share of clipped pixels, and level of bright ones.
+# Rows of a flat on which brightness is measured; share of clipped pixels, level of bright ones.
 _ROWS = 1000
 _OVEREXPOSED = 0.02
 _WELL_EXPOSED = 0.8
-# [%] Difference of the light across the field that may be told as even.
+# [%] Difference of the light across the field that may be reported as even.
 _EVEN = 15
 # Defects that are looked at one by one; share of defective pixels that is no dirt; least difference
 # of a speck from the same place in other lenses.
@@ -73,7 +73,7 @@ def find_vignetting(seen: Seen) -> Finding:
 
 
 def find_range(flats: list[NDArray[Any]], white_level: float | None = None) -> float | None:
-    """Largest value that pixels of a sensor can have; None if nothing tells it.
+    """Largest value that pixels of a sensor can have; None if it is not known.
 
     Files of 16 bits hold sensors of 10, 12 or 14 bits too. A dim flat does not show which.
     """

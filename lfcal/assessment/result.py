@@ -1,4 +1,4 @@
-"""What an assessment tells: findings with errors, verdicts and advice."""
+"""Results of an assessment: findings with errors, verdicts and advice."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class Finding:
 
 @dataclass(frozen=True, eq=False)
 class Assessment:
-    """How an array is mounted and lit, as `assess` finds it; `print` tells it in lines.
+    """How an array is mounted and lit, as `assess` finds it; `print` shows a line per finding.
 
     Parameters
     ----------

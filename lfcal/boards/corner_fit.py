@@ -53,7 +53,9 @@ class CornerFits(NamedTuple):
 
     position: Array  # (n, 2) [px]
     error: Array  # (n,) [px] standard error along each axis, from the residuals
-    contrast: Array  # (n,) half the difference of the grey values; the sign tells the dark squares
+    contrast: (
+        Array  # (n,) half the difference of the grey values; the sign shows which squares are dark
+    )
     blur: Array  # (n,) [px] standard deviation of the blur
     good: Booleans  # (n,) whether the fit can be used
 

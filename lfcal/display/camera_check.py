@@ -21,7 +21,7 @@ from .flat_lattice import ReducedFlat, compare_lattices, prepare_flat, reduce_fl
 __all__ = ["CameraCheck", "check_camera", "choose_orientation"]
 
 _REMEDY = "give the camera of this flat, or calibrate on it"
-# Difference of the light of lens types at the rims that tells their order.
+# Least difference of the light of lens types at the rims that determines their order.
 _RIM_LIGHT = 0.03
 # Lenses that are fitted to check a camera: 8,000 give the same verdicts on eight captures. Their
 # offsets differ by less than 0.004 pitch, or 0.02 where the camera is wrong.

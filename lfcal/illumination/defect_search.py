@@ -155,7 +155,7 @@ def _differs_from_lenses(values: Singles, places: Integers, lattice: Lattice) ->
     x, y = np.rint(beside).astype(np.int64).transpose(2, 0, 1)
     seen = (x >= 0) & (x < width) & (y >= 0) & (y < height)
     others = np.where(seen, values[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)], np.nan)
-    # Unlit lenses tell nothing; NaN is sorted to the end.
+    # Unlit lenses are not compared; NaN is sorted to the end.
     others.sort(axis=1)
     lit = np.isfinite(others).sum(1)
     ranks = np.rint(np.maximum(lit - 1, 0)[:, None] * NINE_TENTHS).astype(np.int64)

@@ -35,7 +35,7 @@ __all__ = ["estimate_gain"]
 _PIXELS = 1.5e5
 # [px] between samples of the profile; a rim is about one pixel soft.
 _STEP = 0.25
-# Share of the pixels that a ring must have to tell its noise by itself.
+# Least share of the pixels of a ring whose noise is measured by itself.
 _FEW = 1e-4
 # Light of a rim falls by at least this over the radius; a term of the rim moves it by more [px].
 _LEAST = 0.02

@@ -29,7 +29,8 @@ from ..white_fit.microimages import UNLIT
 
 __all__ = ["LensLights", "find_unlit_in_scene", "measure_lens_lights"]
 
-# Relative light from which on pixels tell that of a lens: rims depend more on its place.
+# Least relative light of the pixels that the light of a lens is measured on: darker ones, at the
+# rim, depend more on the place of the lens.
 _FLAT_TOP = 0.8
 # Pixels of each lens that are measured.
 _PIXELS = 48
@@ -39,13 +40,13 @@ _BAND = 128
 _SAMPLE = 20_000
 # Light over that of bright lenses below which a lens may be unlit, with stray light.
 _DIM = 0.25
-# Contrast of the shape of a microimage from which on pixels can correlate with it.
+# Least contrast of the shape of a microimage with which pixels can correlate.
 _SHAPED = 0.1
 # Least correlation with that shape, over the typical one, of lit lenses; and of dim ones: beside
 # the lit lenses of Letters.white it is up to 0.62, of lenses under dust (w08) 0.67.
 _ALIKE = 0.4
 _DIM_ALIKE = 0.65
-# Share of the usual number of pixels that a lens must have to tell the polynomial.
+# Share of the usual number of pixels that a lens must have for the fit of the polynomial.
 _WHOLE = 0.3
 # Scatter of lenses that may come from errors of the model.
 _MODEL_ERROR = 0.003

@@ -37,7 +37,7 @@ _PIXELS_OF_LENS = 700
 _FEWEST_LENSES = 200
 # Windows of the field each way, if six lenses fall into each.
 _WINDOWS = np.array([8, 6])
-#: [radius] Disc in the middle that tells the light of a lens, on scenes and white images.
+#: [radius] Disc in the middle in which the light of a lens is measured, on scenes and white images.
 CORES = (0.6, 0.5)
 # Least light of a plane over that in the middle, and light through the cutting disc behind it.
 _LEAST_PLANE = 0.2
@@ -156,7 +156,7 @@ class Residuals(NamedTuple):
 
 
 def clipping_luminance(value: Array, scene: bool) -> float:
-    """Luminance from which on pixels of a scene count as clipped; infinite for white images."""
+    """Luminance at which pixels of a scene count as clipped; infinite for white images."""
     if scene:
         return CLIPPED_LIGHT * float(value.max())
     return math.inf

@@ -76,7 +76,7 @@ def read_flat(
         them.
     pixel_format : str or None
         Format of raw video, such as `"yuv420p10"`. By default it follows from the name of the file;
-        without such a name it is 4:2:0, and the samples tell the number of bits.
+        without such a name it is 4:2:0, and the number of bits follows from the samples.
 
     Returns
     -------

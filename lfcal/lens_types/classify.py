@@ -29,7 +29,7 @@ from .lens_sample import (
     sample_lenses,
 )
 
-# [px] smaller microimages hold too few pixels to tell sharp from soft.
+# [px] smaller microimages hold too few pixels to distinguish sharp from soft.
 MIN_RADIUS = 5.0
 # With all neighbours on the flat.
 _FEWEST_LENSES = 100
@@ -39,7 +39,7 @@ _FEWEST_OTHERS = 24
 # Noise reaches twelve times its mean power by exp(-12); the strongest other pattern is detail.
 _NOISE = 12
 _DETAIL = 3
-# Power of the gradients over that of a mosaic from which on the scene itself repeats.
+# If the power of the gradients over that of a mosaic is larger, the scene itself repeats.
 _REPEATING = 0.3
 # Correlation of a pattern in two halves of the sample.
 _SAME = 0.7

@@ -1,4 +1,4 @@
-"""Coarse disparity of single lenses, to sort them by depth and to tell the mode of a scene.
+"""Coarse disparity of single lenses, to sort them by depth and to find the mode of a scene.
 
 Adjacent microimages are correlated over a grid of signed patch sizes; correlations are summed over
 3 x 3 lenses.

@@ -11,9 +11,9 @@ from .lens_sample import LensSample, outlier_limit
 
 # Lenses of a type, at least.
 _FEWEST_LENSES = 40
-# Light beyond rims over that before them, from which on they are those of a white image.
+# If the light beyond rims over that before them is larger, the flat is a white image.
 FLATTENED = 0.95
-# Spread of `s / D` from which on a scene has depth.
+# Least spread of `s / D` of a scene that has depth.
 MIN_SPREAD = 0.02
 #: Relative differences of the light at rims may come from how pixels fall.
 RIM_FAULT = 0.015
@@ -66,7 +66,7 @@ def find_focus_order(
     rim = _rim_softness(outer_light, inner_loss, types) if rim_ratio < FLATTENED else None
     if trend is not None:
         slope, focus, sign = trend
-        # Rims tell better which end of the order has the larger |s|.
+        # Rims show more reliably which end of the order has the larger |s|.
         return FocusOrder(
             np.argsort(-slope * (sign if rim is None else np.sign(slope @ rim))), True, focus
         )

@@ -21,10 +21,10 @@ from .lens_sample import measure_lens_features, sample_lenses
 
 __all__ = ["find_rim_conflict", "find_type_conflict"]
 
-# Confidence of the types of a flat from which on they contradict those of a camera.
+# Least confidence of the types of a flat that contradict those of a camera.
 _SURE = 0.9
-# Twice the logarithm of the likelihood ratio of the best order of rims and the given one, from
-# which on the given one is wrong: 24 right cameras had 13 at most.
+# The given order of rims is wrong if twice the logarithm of its likelihood ratio to the best order
+# is larger than this: 24 right cameras had 13 at most.
 _WRONG = 20
 
 
@@ -34,7 +34,7 @@ def find_type_conflict(
     """What contradicts the lens types of a camera on a scene, None where nothing does.
 
     `picture` (h, w) is as made by `images.preprocessing.sqrt_luminance`. With `rims_known`, the
-    gain map has the light at the rims of each type: those of a scene tell less.
+    gain map has the light at the rims of each type, which is more reliable than rims of a scene.
     """
     found = find_lens_types(picture, lattice, False)
     if found is not None and found.count == types.count:

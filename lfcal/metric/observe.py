@@ -127,8 +127,9 @@ def measure_blur(
 ) -> LensBlur | None:
     """The discs of the microlenses from the edges of boards in known poses.
 
-    None if the boards do not tell the aperture. Lenses blur light: if the camera file does not say
-    whether values are in proportion to it or to its square root, the edges tell which fits better.
+    None if the aperture does not follow from the boards. Lenses blur light: if the camera file does
+    not say whether values are in proportion to it or to its square root, the edges show which fits
+    better.
     """
     lattice = calibration.lattice
     types = calibration.lens_types

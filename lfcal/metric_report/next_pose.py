@@ -1,4 +1,4 @@
-"""Which further pose of the board would tell most about the distances that the camera measures.
+"""Find the further poses of the board that would reduce the errors of distances most.
 
 Candidates stand near, in the middle and far, in the middle and the corners of the field, tilted in
 four directions. Each adds the information that its corners would bring (normal equations, the pose

@@ -239,7 +239,7 @@ def _solve(
     return change / _STEP_SCALE, covariance * variance / _STEP_SCALE**2, weight
 
 
-# [px] of centroids beside the lattice, from which on they are doubtful.
+# [px] Centroids farther from the lattice than this are doubtful.
 _CENTROIDS = 0.2
 # Pixels, and fewest lenses, that a cut and a distortion are looked for with.
 _SEARCH = 1e5, 150
@@ -252,7 +252,7 @@ _PIXELS = 3.2e6
 _LEAST_CUT = 0.3
 # Robust squared residuals with two discs over those without, up to which the discs are believed.
 _MOST_COST = 0.995
-# [px] Standard error of the centres, from which on they are doubtful.
+# [px] Centres with a larger standard error are doubtful.
 _MOST_ERROR = 0.03
 
 

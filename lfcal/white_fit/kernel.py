@@ -43,7 +43,7 @@ class Rings(NamedTuple):
     # (r, 5) light, its slope [1/px], inverse variance of a pixel, own light, amplitude of `cos(4 *
     # direction)`
     table: Floats
-    saturation: float  # light from which on pixels are clipped
+    saturation: float  # least light of clipped pixels
 
 
 class Sums(NamedTuple):

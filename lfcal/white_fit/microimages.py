@@ -35,7 +35,7 @@ _CHUNKS = 64
 _STIFFNESS = 0.3
 # [inradius] Disc in which the slope of the light is measured: edges are far, and cuts are rare.
 _INNER = 0.6
-# Side of the square in the middle, over the diameter of a microimage, that tells its light.
+# Side of the square in the middle that the light is measured in, over the diameter.
 _CORE = 0.4
 # Share of the median weight that a ring needs to have a harmonic.
 _FEW = 0.01
@@ -60,7 +60,7 @@ class Microimages:
     profile: Floats  # (r,) light at radii `0, step, 2*step...`
     harmonic: Floats  # (r,) amplitude of `cos(4 * direction)`
     ring_weight: Floats  # (r,) inverse variance of a pixel
-    saturation: float  # light from which on pixels are clipped
+    saturation: float  # least light of clipped pixels
 
     @property
     def pixels(self) -> float:

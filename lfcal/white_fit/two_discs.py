@@ -70,7 +70,7 @@ _CONVERGED = 0.1
 _LEAST_GAIN = 1e-3
 # Step of numerical derivatives, in the units of the parameters.
 _STEP = 1e-3
-# Error of the blur that both edges share, which no model tells better.
+# Relative error of the blur that both edges share: no model is more exact.
 _MODEL_FAULT = 0.02
 # Pixels of the first two fits, and of the last one.
 _FIRST_PIXELS = (10_000, 20_000)
@@ -247,7 +247,7 @@ class TwoDiscs:
 
 
 def _lattice_of(lattice: Lattice, p: Floats) -> Lattice:
-    """The lattice of the first of two discs, displaced from a lattice as the parameters tell."""
+    """The lattice of the first of two discs, displaced from a lattice by the parameters."""
     middle = (np.array(lattice.image_size) - 1) / 2
     reach = float(np.hypot(*lattice.image_size) / 2)
     bend = lattice.distortion

@@ -20,7 +20,7 @@ __all__ = ["CatEye", "compare_pixels", "measure_centroid_offset", "measure_narro
 
 # Lenses that centroids are measured on.
 _LENSES = 300
-# Slope of the profile, over the steepest one, from which on pixels tell where an edge is.
+# Least slope of the profile, over the steepest one, of pixels that locate an edge.
 _STEEP = 0.1
 
 

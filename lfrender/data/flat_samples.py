@@ -9,7 +9,7 @@ from lfcal.runtime.arrays import Array, Integers, Singles
 
 __all__ = ["is_same_flat", "sample_flat"]
 
-# Rows and columns of a flat whose pixels tell it from other flats.
+# Rows and columns of a flat whose pixels distinguish it from other flats.
 _SAMPLED_ROWS = 16
 _SAMPLED_COLUMNS = 64
 # Largest RMS difference between samples of one flat, as a share of their standard deviation:

@@ -171,7 +171,7 @@ def _places(
 def write_points(path: AnyPath, points: Array, metres: bool = False) -> None:
     """Write the points of `point_cloud` as binary PLY or PCD; whole or not at all.
 
-    `metres` tells that they were made with optics.
+    `metres`: they were made with optics.
 
     Examples
     --------

@@ -272,8 +272,8 @@ def _tracks(views: list[_Posed]) -> tuple[Floats, NDArray[np.uint8], Floats]:
 
     One of 4 x 4 pixels of the middle view becomes a point.
 
-    The last, (views, n, 2) [px], is NaN where the depth of a view tells that something else is
-    seen, or nothing.
+    The last, (views, n, 2) [px], is NaN where a view sees something else at the place of the
+    point, by its depth, or nothing.
     """
     middle = views[len(views) // 2]
     v, u = (_TRACK_STEP * axis for axis in np.nonzero(middle.known[::_TRACK_STEP, ::_TRACK_STEP]))

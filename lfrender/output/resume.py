@@ -70,7 +70,7 @@ class Checkpoint:
 
 
 def file_identity(path: Path) -> list[Any]:
-    """Path, size and time of an input file or Zarr folder, which tell it from others."""
+    """Path, size and time of an input file or Zarr folder, which distinguish it from others."""
     names = ("zarr.json", ".zarray", ".zgroup") if path.is_dir() else ()
     about = os.stat(next((path / name for name in names if (path / name).exists()), path))
     return [str(path.absolute()), about.st_size, about.st_mtime_ns]

@@ -53,7 +53,7 @@ def viewer_page(
 
 
 def _page(title: str, data: dict[str, str] | None = None, **place: Any) -> str:
-    """The page with its data in it, or loading it; `place` tells which flat of several."""
+    """The page, which holds or loads its data; `place` is the number of the flat among several."""
     # Modules are data URLs: browsers do not fetch files for a page that was opened from a disk.
     urls = {}
     for name in _MODULES:

@@ -37,7 +37,7 @@ class Program(cloup.Group):
     """A group of commands that reports each error a user can mend as one line with exit code 2.
 
     `others` are another program and the names of its commands, in one text: users who look for
-    them here are told where they are.
+    them here learn where they are.
     """
 
     def __init__(self, *args: Any, others: tuple[str, str], **kwargs: Any) -> None:
