@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 
@@ -11,6 +12,10 @@ from hypothesis import settings
 # Examples take longer on a busy machine.
 settings.register_profile("busy", deadline=None)
 settings.load_profile("busy")
+
+# As the commands do: matrices are small, and threads that wait for each other double the time. Worker
+# processes inherit this before they load NumPy.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 _ROOT = Path(__file__).resolve().parents[1]
 _SHARED = _ROOT.parent / "shared"
