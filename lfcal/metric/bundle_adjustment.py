@@ -19,6 +19,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from ..runtime.arrays import Array, Floats, Frozen, Integers
 from .camera_model import INTERNAL, SHAPE, project, project_derivatives, shape_derivatives
@@ -163,6 +164,8 @@ def linearise(
     return rows / o.error[:, None, None]
 
 
+# The matrices are small: threads that wait for each other double the processor time.
+@threadpool_limits.wrap(limits=1, user_api="blas")
 def adjust(
     camera: Array,
     pixel: float,
