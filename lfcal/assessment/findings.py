@@ -96,9 +96,8 @@ def find_rotation(found: Alignment, camera: Calibration) -> Finding:
     here, back = ("clockwise", "counter-clockwise")[:: 1 if value > 0 else -1]
     return told(
         f"{rows} are turned {here} on the flat, by {drift:.1f} px over it",
-        f"to align them turn the array by {abs(value):.3g} degrees {back} as it looks on the "
-        f"flat, that is {here} seen "
-        "from the main lens (unless the camera mirrors its flats)",
+        f"to align them turn the array by {abs(value):.3g} degrees {back} as it looks on the flat, "
+        f"that is {here} seen from the main lens (unless the camera mirrors its flats)",
     )
 
 

@@ -44,9 +44,8 @@ _KNOWN = (
     cl.option(
         "--linear/--encoded",
         None,
-        "Whether values are in proportion to light, or encoded "
-        "for display. By "
-        "default 8 bits and videos are taken as encoded.",
+        "Whether values are in proportion to light, or encoded for display. By default 8 bits and "
+        "videos are taken as encoded.",
         default=None,
     ),
 )

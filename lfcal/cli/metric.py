@@ -60,9 +60,8 @@ _METRIC = (
     cl.option(
         "--exchange",
         _OUTPUT,
-        "For other programs: .js with poses beside it (libpleno), "
-        ".yml or .xml (OpenCV's "
-        "pinhole) to write.",
+        "For other programs: .js with poses beside it (libpleno), .yml or .xml (OpenCV's pinhole) "
+        "to write.",
         "FILE",
     ),
     cl.option("--report page", _OUTPUT, "Residuals, poses, what to shoot next.", "PAGE.html"),
@@ -135,9 +134,8 @@ def metric(report: cl.Report, given: Any) -> None:
         and abs(optics.focal_length / given.focal_length - 1) > _FOCAL_LENGTH_TOLERANCE
     ):
         report.warn(
-            f"the focal length is {optics.focal_length:.4g} mm, and not {given.focal_length:g} "
-            "mm as stated: "
-            "--pixel is wrong by as much, or the lens is zoomed"
+            f"the focal length is {optics.focal_length:.4g} mm, and not {given.focal_length:g} mm "
+            "as stated: --pixel is wrong by as much, or the lens is zoomed"
         )
     blur = found.calibration.lens_blur
     distances = [pose.translation[2] / 1000 for pose in found.poses]
@@ -146,12 +144,10 @@ def metric(report: cl.Report, given: Any) -> None:
         f"{len(found.residual):,} corners on {len(found.poses)} flats "
         f"fit to {found.rms:.2f} px RMS.",
         f"Focal length {optics.focal_length:.2f} mm; microlenses {optics.mla_distance:.2f} mm "
-        "behind the main lens, "
-        f"{optics.sensor_distance:.3f} mm before the sensor.",
+        f"behind the main lens, {optics.sensor_distance:.3f} mm before the sensor.",
         f"Compare with a ruler: the boards stand {min(distances):.3g} to {max(distances):.3g} m "
-        "before the main lens. "
-        "A wrong --square scales these distances and shows nowhere else; a wrong --pixel scales "
-        "the focal length.",
+        "before the main lens. A wrong --square scales these distances and shows nowhere else; a "
+        "wrong --pixel scales the focal length.",
         *([describe_blur(blur)] if blur else []),
         f"{output} in {report.took}: depth of its flats is in metres.",
     )

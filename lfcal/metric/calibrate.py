@@ -175,9 +175,8 @@ def _fit(
     lost = [found[m].name for m in np.flatnonzero(outliers > _MOST_OUTLIERS)]
     if lost:
         raise BoardError(
-            f"{', '.join(lost)}: the board does not fit the camera of the other flats; were "
-            "focus, zoom or camera "
-            "changed, or is it another board? Leave these flats out"
+            f"{', '.join(lost)}: the board does not fit the camera of the other flats; were focus, "
+            "zoom or camera changed, or is it another board? Leave these flats out"
         )
     return fitted, observations
 

@@ -25,9 +25,8 @@ __all__ = [
 CAMERA_ADVICE = "lfcal.calibrate makes one of a flat, lfcal.load reads one from a file"
 #: Ending of messages about images that show no microimages.
 RAW_FLAT_ADVICE = (
-    "give a raw flat from the sensor, of a camera with a microlens array (if it is one: its "
-    "white image, or its pitch "
-    "as a hint)"
+    "give a raw flat from the sensor, of a camera with a microlens array (if it is one: its white "
+    "image, or its pitch as a hint)"
 )
 
 

@@ -115,8 +115,7 @@ def analyze(capture: CaptureInput, given: Any) -> None:
             )
             closing = [
                 f"{forms['picture']}: magnification M from {low:.1f} (blue) to {high:.1f} (red), "
-                "logarithmic; "
-                f"{_near_and_far(depth)}; grey: unresolved."
+                f"logarithmic; {_near_and_far(depth)}; grey: unresolved."
             ]
         if whole and pixels is not None:
             from ..output.point_cloud import mesh, point_cloud, write_mesh, write_points

@@ -117,9 +117,8 @@ def few_pixels_problem(pitch: float) -> str | None:
     if pitch >= _FEW_PIXELS:
         return None
     return (
-        f"microimages of {pitch:.0f} px are small for depth from neighbouring lenses: many "
-        "lenses may be unresolved or "
-        "wrong; for a grid of views use a program that matches views"
+        f"microimages of {pitch:.0f} px are small for depth from neighbouring lenses: many lenses "
+        "may be unresolved or wrong; for a grid of views use a program that matches views"
     )
 
 
@@ -173,8 +172,7 @@ def capture_sentences(
         near, far = figures["distance_range"]
         sentences.append(
             f"Distances {near:.3g} to {far:.3g} m, half of them below "
-            f"{figures['distance_median']:.3g} m, each to "
-            f"{figures['distance_error']:.2g} m."
+            f"{figures['distance_median']:.3g} m, each to {figures['distance_error']:.2g} m."
         )
     return sentences
 

@@ -259,8 +259,7 @@ class CaptureInput:
         if flat is not None and depth.image_size == flat.shape[1::-1] and not depth.is_of(flat):
             self.report.warn(
                 f"{path} was made from another flat than {self.flat}: edges of the scene may be "
-                "drawn at wrong places; "
-                "analyse this flat"
+                "drawn at wrong places; analyse this flat"
             )
         return depth
 

@@ -72,9 +72,8 @@ TABLE = {
     "edges": _row(
         "--edges/--no-edges",
         None,
-        "Place depth edges on the pixels of the microimages: cleaner outlines, in up to twice "
-        "the time. The "
-        "preset 'balanced' does so.",
+        "Place depth edges on the pixels of the microimages: cleaner outlines, in up to twice the "
+        "time. The preset 'balanced' does so.",
         default=None,
     ),
     "detail": _row(
@@ -171,8 +170,7 @@ TABLE = {
         "--tile",
         click.IntRange(16),
         "Draw in tiles of this side, with little memory; an interrupted run is continued. "
-        "[default: large "
-        "flats]",
+        "[default: large flats]",
         "PIXELS",
     ),
     "frame_format": _row(
@@ -242,8 +240,7 @@ TABLE = {
         "--optics",
         cl.INPUT,
         "Focal length and distances [mm] of the camera: distances in metres, the point cloud and "
-        "--poses too. "
-        "By default those of the camera file, if 'lfcal metric' has measured them.",
+        "--poses too. By default those of the camera file, if 'lfcal metric' has measured them.",
         "OPTICS.json",
     ),
     "metres": _row("--metres", bool, "Write --dense as distances in front of the main lens [m]."),
@@ -270,9 +267,8 @@ TABLE = {
     "depth_range": _row(
         "--depth-range",
         float,
-        "First and last plane, from the native plane towards the objective [um], or without "
-        "optics as slopes "
-        "k = -D / s. [default: as far as a pixel averages over a pitch]",
+        "First and last plane, from the native plane towards the objective [um], or without optics "
+        "as slopes k = -D / s. [default: as far as a pixel averages over a pitch]",
         "FIRST LAST",
         nargs=2,
     ),
@@ -297,9 +293,8 @@ TABLE = {
     "export": _row(
         "--export",
         _OUTPUT,
-        "Write the page instead: as one file that holds everything, or as a folder of static "
-        "files for web "
-        "pages.",
+        "Write the page instead: as one file that holds everything, or as a folder of static files "
+        "for web pages.",
         "FOLDER|PAGE.html",
     ),
     "port": _row(

@@ -172,12 +172,10 @@ def demo(report: cl.Report, given: Any) -> None:
     report.finish(
         found,
         f"{found['lenses']:,} microlenses, {found['pitch']:.1f} px apart, found to {centres:.3f} "
-        "px RMS from "
-        "the capture alone.",
-        f"The mode is right in {figures.percent(right['one_depth'])} of the lenses "
-        "that see one depth, "
-        f"{figures.percent(right['all'])} of all that see detail; the picture is {merit:.1f} dB "
-        "from the truth.",
+        "px RMS from the capture alone.",
+        f"The mode is right in {figures.percent(right['one_depth'])} of the lenses that see one "
+        f"depth, {figures.percent(right['all'])} of all that see detail; the picture is "
+        f"{merit:.1f} dB from the truth.",
         f"{found['page']} in {report.took}, {report.seconds['simulate']:.1f} s of it for the "
         "simulation.",
     )
