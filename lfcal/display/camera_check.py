@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
+from threadpoolctl import threadpool_limits
 
 from ..camera.calibration import Calibration
 from ..lattice.lattice import Lattice, describe_orientation
@@ -70,6 +71,8 @@ class CameraCheck:
         return replace(calibration, warnings=(*calibration.warnings, warning))
 
 
+# The equations are too small for more threads to pay off.
+@threadpool_limits.wrap(limits=1, user_api="blas")
 def check_camera(calibration: Calibration, image: ArrayLike) -> CameraCheck:
     """Check whether a flat can have been made with a camera, in about a tenth of a second.
 
@@ -90,16 +93,9 @@ def check_camera(calibration: Calibration, image: ArrayLike) -> CameraCheck:
     >>> check_camera(camera, white).problem[:19]
     'the microimages lie'
     """
-    from threadpoolctl import threadpool_limits
-
-    # The equations are too small for more threads to pay off.
-    with threadpool_limits(1, "blas"):
-        return _check(calibration, prepare_flat(calibration, image))
-
-
-def _check(calibration: Calibration, reduced: ReducedFlat) -> CameraCheck:
     from .confirmation import confirms_camera
 
+    reduced = prepare_flat(calibration, image)
     lattice = calibration.lattice
     if confirms_camera(calibration, lattice.downscaled(reduced.factor), reduced.picture):
         return CameraCheck(problem=_find_type_conflict(calibration, reduced.flat))

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
+from threadpoolctl import threadpool_limits
 
 from ..camera.calibration import Calibration
 from ..lattice.lattice import Lattice
@@ -102,6 +103,8 @@ class FitCheck(Frozen):
         return html_table("Offsets of the microimages (x, y)", figures, [self.verdict])
 
 
+# The equations are too small for more threads to pay off: they double the processor time.
+@threadpool_limits.wrap(limits=1, user_api="blas")
 def check_fit(calibration: Calibration, image: ArrayLike) -> FitCheck:
     """Measure the offsets of the microimages on a flat from the centres of `calibration`.
 
