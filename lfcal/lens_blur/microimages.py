@@ -150,15 +150,25 @@ class _Tile(NamedTuple):
     light: Array  # (m,) over that in the middle of the microimages
     weight: Array  # (m,)
 
+    def thinned(self, most: float) -> _Tile:
+        """The same tile with about `most` squares, evenly chosen."""
+        some = evenly(len(self.light), most)
+        return self._replace(
+            kind=self.kind[some],
+            offset=self.offset[some],
+            light=self.light[some],
+            weight=self.weight[some],
+        )
+
 
 # The equations are too small for more threads to pay off: they would wait for each other.
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def measure_microimages(
-    flat: NDArray[Any], camera: Calibration, most: int = 5
+    flat: NDArray[Any], camera: Calibration, most: int = 5, squares: float = np.inf
 ) -> MicroimageField | None:
-    """Size and sharpness of the microimages of a white image, in at most so many tiles each way;
-    None where they cannot be measured.
+    """Size and sharpness of the microimages of a white image, or None without visible discs.
 
+    At most `most` tiles each way are measured, each on about `squares` squares of its cell.
     Values of 8 bits of which nobody knows whether they are linear are taken as explains the
     microimages better, or as both where that does not tell.
     """
@@ -166,7 +176,9 @@ def measure_microimages(
     model = _Model.of(camera)
     starts = []
     for encoded in (True, False) if unknown else (bool(camera.encoded),):
-        if tiles := _average_tiles(flat, camera, encoded, model.count, most):
+        tiles = _average_tiles(flat, camera, encoded, model.count, most)
+        tiles = [tile.thinned(squares) for tile in tiles]
+        if tiles:
             usual = model.start(_START_RADIUS * nearest_half(camera.lattice))
             round_one, straight = (
                 (m, *m.fit(tiles[0], usual), tiles) for m in (model, replace(model, straight=True))
