@@ -28,7 +28,10 @@ def has_blocks(pixels: NDArray) -> bool:
     JPEG.
     """
     rows = np.linspace(0, len(pixels) - 1, min(_ROWS, len(pixels))).astype(int)
-    step = np.abs(np.diff(pixels[rows].mean(2, dtype=np.float32), axis=1))
+    channels = pixels.shape[2]
+    # A product with a vector takes a tenth of the time of a mean.
+    grey = pixels[rows].astype(np.float32) @ np.full(channels, 1 / channels, np.float32)
+    step = np.abs(np.diff(grey, axis=1))
     if step.shape[1] < 80:
         return False
     beyond = (step[:, 1:-1] - (step[:, :-2] + step[:, 2:]) / 2).mean(0)
