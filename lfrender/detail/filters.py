@@ -65,9 +65,10 @@ def make_filters(
     scale: float,
     reach: float,
     depths: tuple[float, float],
+    both_modes: bool = False,
 ) -> DetailFilters:
     """The filters for a blended picture of `scale` pixels per pitch whose patch sizes lie between
-    `depths` [px].
+    `depths` [px], on one side of zero or on both.
 
     `noise` is as `measure_noise`; lenses farther than `reach` [pitch] are not averaged.
     """
@@ -80,7 +81,8 @@ def make_filters(
     per_octave = 2.0
     of_level = np.concatenate([-levels, levels])
     some = _is_near(of_level, step, np.array(depths) / calibration.lattice.pitch)
-    known, wanted, grain = _Levels.of(of_level[some], noise, calibration, blur, scale, reach).sums()
+    seen = _Levels.of(of_level[some], noise, calibration, blur, scale, reach, both_modes)
+    known, wanted, grain = seen.sums()
     fine = np.arange(round(levels[-1] * per_ratio) + 1) / per_ratio
     at = np.log(np.maximum(fine, levels[0]) / levels[0]) / np.log(step)
     near = np.concatenate([at, at + len(levels)])
@@ -154,6 +156,7 @@ class _Levels:
         blur: LensBlur | None,
         scale: float,
         reach: float,
+        both_modes: bool,
     ) -> _Levels:
         lattice = calibration.lattice
         size = np.abs(ratios)
@@ -161,7 +164,8 @@ class _Levels:
         discs = possible_discs(blur, ratios).swapaxes(1, 2) * grown[:, None]
         shares = type_shares(calibration.lens_types, ratios, discs.shape[2]).T
         averaged = _averaged_views(size, calibration, reach)
-        apart = np.sqrt(squares_to_average(calibration, blur, ratios, scale)) * grown
+        squares = squares_to_average(calibration, blur, ratios, scale, both_modes)
+        apart = np.sqrt(squares) * grown
         even = np.maximum(averaged / (discs.shape[2] * (shares**2).sum(1)), 1.0)
         return cls(grown[:, None], discs, shares, apart[:, None], (noise**2 / even)[:, None])
 
