@@ -235,19 +235,16 @@ def _misfit(seen: _Spectrum) -> _Array:
     probability of their softness.
     """
     model = _blurred_scenes(seen.side)[1:]
-    power = (seen.power[1:] / seen.power[1]).astype(np.float32)
-    error = (seen.error[1:] / seen.power[1]).astype(np.float32)
-    weight = 1 / ((_MODEL_ERROR * power) ** 2 + error**2)
-    level = np.tensordot(power * weight, model, 1) / np.tensordot(weight, model * model, 1)
-    # From here on, each ring is a plane of all scenes and discs.
+    # Each ring is a plane of all scenes and discs.
     planes = (-1, 1, 1, 1)
-    power = np.reshape(power, planes)
-    error = np.reshape(error, planes)
-    weight = 1 / ((_MODEL_ERROR * np.maximum(level * model, np.abs(power))) ** 2 + error**2)
-    weighted = weight * model
-    level = (weighted * power).sum(0) / (weighted * model).sum(0)
-    fitted = level * model
-    weight = 1 / ((_MODEL_ERROR * np.maximum(fitted, np.abs(power))) ** 2 + error**2)
+    power = np.reshape(seen.power[1:] / seen.power[1], planes).astype(np.float32)
+    error = np.reshape(seen.error[1:] / seen.power[1], planes).astype(np.float32)
+    weight = 1 / ((_MODEL_ERROR * power) ** 2 + error**2)
+    for _ in range(2):
+        weighted = weight * model
+        level = (weighted * power).sum(0) / (weighted * model).sum(0)
+        fitted = level * model
+        weight = 1 / ((_MODEL_ERROR * np.maximum(fitted, np.abs(power))) ** 2 + error**2)
     # Outliers count less (Charbonnier).
     each = 2 * (np.sqrt(1 + (power - fitted) ** 2 * weight) - 1)
     misfit = each.sum(0).min(0).astype(np.float64)
