@@ -1,5 +1,4 @@
-"""Measure the discs of the microlenses on a capture, from what pairs of lenses see of the same
-places.
+"""Measure the discs of the microlenses on pairs of lenses that show the same places.
 
 The mean product of the spectra of two lenses of one type has neither the noise of their pixels nor
 what aliases in them: the power of the scene is left, times that of the pixel and of the disc.
@@ -191,8 +190,10 @@ def _measure_spectrum(
 
 @lru_cache(4)
 def _analysis(side: int) -> tuple[_Array, _Array, _Array]:
-    """Window (side, side), weights (pixels, rings) of means over rings of frequency, and the same
-    for the half of the spectrum that `rfft2` gives.
+    """Window (side, side), and weights of the means over rings of frequency.
+
+    The first weights (pixels, rings) are for the whole spectrum, the second ones for the half that
+    `rfft2` gives.
     """
     window = np.hanning(side + 2)[1:-1]
     along = np.fft.fftfreq(side)
@@ -231,8 +232,9 @@ def _blurred_scenes(side: int) -> _Array:
 
 
 def _misfit(seen: _Spectrum) -> _Array:
-    """(2, discs) squared misfit of the best scene for each disc: of all scenes alike, and with the
-    probability of their softness.
+    """(2, discs) squared misfit of the best scene for each disc.
+
+    The first row takes all scenes as alike, the second one adds the probability of their softness.
     """
     model = _blurred_scenes(seen.side)[1:]
     # Each ring is a plane of all scenes and discs.
@@ -332,8 +334,9 @@ def measure_lens_blur(
 
 
 def _summarise(cost: _Array, apertures: _Array, foci: _Array, ratios: _Array) -> LensBlur:
-    """The blur from the misfit (2, types, apertures, foci): the expected discs from the second one,
-    errors from the first.
+    """The blur from the misfit (2, types, apertures, foci).
+
+    The second row of the misfit gives the expected discs, the first row their errors.
     """
     allowed = cost[0] <= cost[0].min((1, 2), keepdims=True) + _LIMIT
     tried = apertures[..., None] * np.abs(ratios - foci[:, None])

@@ -75,9 +75,7 @@ _ACROSS = (20, 14)
 
 
 class Field(NamedTuple):
-    """A quantity in the middle of the flat and its slope per half diagonal to the right and down,
-    with errors.
-    """
+    """A quantity in the middle of the flat, and its slope per half diagonal, with errors."""
 
     value: float
     error: float
@@ -300,9 +298,10 @@ class _Model:
 
 
 def _blurred_disc(far: Array, radius: Array, blur: Array, width: float) -> Array:
-    """Share of discs of radius `blur` at distances `far` from the middle of discs of `radius` that
-    lies in these, seen by squares of `width` [px]: mean over three places across one (Gauss and
-    Legendre).
+    """Share of blurring discs that lies inside larger discs.
+
+    The discs of radius `blur` lie at distances `far` from the middle of discs of `radius`, and are
+    seen by squares of `width` [px]: the mean over three places across one (Gauss and Legendre).
     """
     seen = (far < radius).astype(np.float64)
     near = np.flatnonzero(np.abs(far - radius) < blur + width / 2)
@@ -320,9 +319,7 @@ def _blurred_disc(far: Array, radius: Array, blur: Array, width: float) -> Array
 
 
 def _blurred_edge(depth: Array, blur: Array | float, width: float) -> Array:
-    """Share of discs of radius `blur` at `depth` [px] inside a straight edge that lies inside it,
-    the same way.
-    """
+    """Share of discs of radius `blur` that lies inside a straight edge, `depth` [px] away."""
     seen = np.zeros(len(depth))
     for place, weight in _ACROSS_PIXEL:
         t = np.clip((depth + width * place) / blur, -1, 1)

@@ -1,5 +1,4 @@
-"""What blurs a picture: the discs of microlenses out of focus, the pixels of the flat, and reading
-between them.
+"""What blurs a picture: discs of microlenses, pixels of the flat, and interpolation.
 
 A flat alone does not tell a soft scene from a blurred one, and undoing a blur that is not there
 makes rings: detail is restored for both the smallest possible disc and the expected one. What is
@@ -44,8 +43,10 @@ _OF_DISCS = 0.7
 
 
 def choose_blur(calibration: Calibration, depth: DepthMap) -> LensBlur | None:
-    """That of the camera file if it tells the aperture, else that of the depth map; None if it is
-    not that of as many lens types, or of rims alone, which tell the discs at `s = 0` only.
+    """The blur of the camera file if it tells the aperture, else that of the depth map.
+
+    It is None for another number of lens types, and for rims alone, which tell the discs at
+    `s = 0` only.
     """
     types = calibration.lens_types
     known = calibration.lens_blur
@@ -58,8 +59,9 @@ def choose_blur(calibration: Calibration, depth: DepthMap) -> LensBlur | None:
 
 
 def possible_discs(blur: LensBlur | None, ratios: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(2, types, n) diameters [px of the flat] of the smallest possible discs of defocus and of the
-    expected ones, at these `s / D`; zero without any measurement.
+    """(2, types, n) smallest and expected diameters [px of the flat] of discs at these `s / D`.
+
+    They are zero without any measurement.
     """
     if blur is None:
         return np.zeros((2, 1, len(ratios)))
@@ -79,9 +81,7 @@ def _likely_discs(
     ratios: NDArray[np.float64],
     both_modes: bool,
 ) -> NDArray[np.float64]:
-    """(types, n) expected diameters [px of the flat] of the discs at these `s / D`, typical ones
-    where nothing tells them.
-    """
+    """(types, n) expected or typical diameters [px of the flat] of the discs at these `s / D`."""
     if blur is not None:
         return blur.at(ratios)[0]
     types = calibration.lens_types
@@ -112,8 +112,9 @@ def averaged_squares(
     ratios: NDArray[np.float64],
     both_modes: bool = False,
 ) -> NDArray[np.float64]:
-    """Areas (n,) [px^2] of the squares that blur as discs and reading do, at these `s / D`, in a
-    scene on one side or on both sides of `s = 0`.
+    """(n,) areas [px^2] of squares that blur as discs and reading do, at these `s / D`.
+
+    With `both_modes`, the scene lies on both sides of `s = 0`.
     """
     discs = _likely_discs(calibration, blur, ratios, both_modes)
     shares = type_shares(calibration.lens_types, ratios, len(discs))
@@ -142,8 +143,9 @@ def squares_to_average(
 
 
 def interpolation_transfer(frequency: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Transfer function, at cycles per pixel along one axis, of bilinear interpolation of a flat
-    from `prefilter_flat`.
+    """Transfer function of bilinear interpolation of a flat from `prefilter_flat`.
+
+    The frequency is in cycles per pixel along one axis.
     """
     seen = np.minimum(np.abs(frequency), 1.0)
     return np.asarray(np.sinc(frequency) ** 2 * (1 + (1 - np.cos(2 * np.pi * seen)) / 6))

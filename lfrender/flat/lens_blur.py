@@ -24,7 +24,7 @@ _TIMES = 1.6
 
 
 def has_blocks(pixels: NDArray) -> bool:
-    """Whether steps between pixels (h, w, C) stand out every eight rows and columns: JPEG blocks."""
+    """Whether pixels (h, w, C) step every eight rows and columns, as blocks of JPEG do."""
     return min(pixels.shape[:2]) >= 80 and all(
         _steps_stand_out(one) for one in (pixels, pixels.swapaxes(0, 1))
     )
