@@ -72,9 +72,9 @@ class CameraFileError(LightFieldError, ValueError):
     Examples
     --------
     >>> import lfcal
-    >>> lfcal.Calibration.from_dict({})
+    >>> lfcal.Calibration.from_dict({})  # doctest: +ELLIPSIS
     Traceback (most recent call last):
-    lfcal.runtime.errors.CameraFileError: not an lfcal-camera file; make one with 'lfcal calibrate IMAGE'
+    lfcal.runtime.errors.CameraFileError: not an lfcal-camera file; make one with ...
     """
 
 
