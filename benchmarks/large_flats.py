@@ -201,8 +201,8 @@ def _run(folder: Path, size: tuple[int, int], pitch: float, steps: list[str]) ->
     if "fixed" in steps:
         figures = _measure("fixed patch", "lfrender.cli.main", "render", str(flat), *drawn, *fixed)
         print(
-            f"{'':12s} picture of {np.prod(figures['size']) / 1e6:.0f} Mpx in {figures['tiles']} "
-            f"tiles",
+            f"{'':12s} picture of {np.prod(figures['size']) / 1e6:.0f} Mpx in "
+            f"{figures.get('tiles', 1)} tiles",
             flush=True,
         )
     if "calibrate" in steps:

@@ -1,5 +1,4 @@
-"""Measure the discs of the microlenses on a capture, from what pairs of lenses see of the same
-places.
+"""Measure the discs of the microlenses on pairs of lenses that show the same places.
 
 The mean product of the spectra of two lenses of one type has neither the noise of their pixels nor
 what aliases in them: the power of the scene is left, times that of the pixel and of the disc.
@@ -33,11 +32,11 @@ _Array = NDArray[np.float64]
 _Light = Callable[[NDArray[np.int64], int], NDArray[Any]]
 
 #: [px] Discs that are tried.
-_DISCS = np.linspace(0, 9, 91)
+_DISCS = np.linspace(0, 9, 61)
 #: Power falls with frequency to one of these powers.
 _SLOPES = np.arange(1.6, 4.5, 0.2)
 #: [px] Standard deviations of the softness of scenes.
-_SOFT = np.concatenate([[0, 0.15, 0.25, 0.33], np.geomspace(0.4, 3.2, 40)])
+_SOFT = np.concatenate([[0, 0.15, 0.25, 0.33], np.geomspace(0.4, 3.2, 20)])
 #: Relative error of the model, of real textures beside power laws.
 _MODEL_ERROR = 0.07
 #: Difference of the squared misfit up to which discs are possible.
@@ -102,7 +101,9 @@ def _find_pairs(calibration: Calibration, patch_size: _Array) -> _Pairs:
     # Each step once, not there and back.
     steps = np.array([step for step in product(range(-3, 4), repeat=2) if step > (0, 0)])
     if types is not None:
-        steps = np.array([step for step in steps if (types.of(index + step) == kinds).all()])
+        cell = np.argwhere(np.ones_like(types.cell))
+        own = types.of(cell)
+        steps = np.array([step for step in steps if (types.of(cell + step) == own).all()])
     lengths = np.hypot(*(steps @ lattice.basis).T)
     low = index.min(0) - 3
     rows = np.full(index.max(0) - low + 4, -1)
@@ -169,15 +170,16 @@ def _measure_spectrum(
         return None
     pairs = pairs[inside]
     corners = corners[:, inside]
-    window, rings, _ = _analysis(side)
+    window, _, rings = _analysis(side)
     transformed = []
     for corner in corners:
         grey = light(corner, side)
-        mean = (grey * window).sum((1, 2), keepdims=True) / window.sum()
-        transformed.append(np.fft.fft2((grey - mean) * window))
+        mean = grey.reshape(len(grey), -1) @ (window.ravel() / window.sum())
+        transformed.append(np.fft.rfft2((grey - mean[:, None, None]) * window))
     # Windows lie on whole pixels: what is left of the shift turns the phase.
     away = (pairs.second - corners[1]) - (pairs.first - corners[0])
-    turn_x, turn_y = np.exp(2j * np.pi * np.fft.fftfreq(side) * away.T[..., None])
+    turn_x = np.exp(2j * np.pi * np.fft.rfftfreq(side) * away[:, :1])
+    turn_y = np.exp(2j * np.pi * np.fft.fftfreq(side) * away[:, 1:])
     crossed = transformed[1] * transformed[0].conj() * turn_x[:, None, :] * turn_y[:, :, None]
     each = crossed.real.reshape(len(pairs), -1) @ rings
     ratio = float(np.median(pairs.size)) / lattice.pitch
@@ -187,22 +189,25 @@ def _measure_spectrum(
 
 
 @lru_cache(4)
-def _analysis(side: int) -> tuple[_Array, _Array, NDArray[np.int64]]:
-    """Window (side, side), weights (pixels, rings) of means over rings, and the ring of each
-    frequency.
+def _analysis(side: int) -> tuple[_Array, _Array, _Array]:
+    """Window (side, side), and weights of the means over rings of frequency.
+
+    The first weights (pixels, rings) are for the whole spectrum, the second ones for the half that
+    `rfft2` gives.
     """
     window = np.hanning(side + 2)[1:-1]
     along = np.fft.fftfreq(side)
     ring = np.rint(np.hypot(along[:, None], along) * side).astype(int)
     weights = (ring.reshape(-1, 1) == np.arange(1, side // 2 + 1)).astype(float)
-    return window[:, None] * window, weights / weights.sum(0), ring
+    weights /= weights.sum(0)
+    half = weights.reshape(side, side, -1)[:, : side // 2 + 1].copy()
+    half[:, 1 : side // 2] *= 2
+    return window[:, None] * window, weights, half.reshape(-1, half.shape[2])
 
 
 @lru_cache(4)
 def _blurred_scenes(side: int) -> _Array:
-    """(slopes, soft, discs, rings): power in windows of scenes of these kinds, blurred by disc and
-    pixel.
-    """
+    """(rings, slopes, soft, discs): power in windows of blurred scenes of these kinds."""
     window, weights, _ = _analysis(side)
     finer = 4
     wide = finer * side
@@ -222,25 +227,29 @@ def _blurred_scenes(side: int) -> _Array:
     scene = np.maximum(radial, 0.35 / side) ** -_SLOPES[:, None]
     soft = np.exp(-((2 * np.pi * radial * _SOFT[:, None]) ** 2))
     disc = disc_transfer(radial * _DISCS[:, None]) ** 2
-    seen = np.einsum("kf,pf,sf,df->psdk", response, scene, soft, disc, optimize=True)
+    seen = np.einsum("kf,pf,sf,df->kpsd", response, scene, soft, disc, optimize=True)
     return seen.astype(np.float32)
 
 
 def _misfit(seen: _Spectrum) -> _Array:
-    """(2, discs) squared misfit of the best scene for each disc: of all scenes alike, and with the
-    probability of their softness.
+    """(2, discs) squared misfit of the best scene for each disc.
+
+    The first row takes all scenes as alike, the second one adds the probability of their softness.
     """
-    model = _blurred_scenes(seen.side)[..., 1:]
-    power = np.float32(seen.power[1:] / seen.power[1])
-    error = np.float32(seen.error[1:] / seen.power[1])
+    model = _blurred_scenes(seen.side)[1:]
+    # Each ring is a plane of all scenes and discs.
+    planes = (-1, 1, 1, 1)
+    power = np.reshape(seen.power[1:] / seen.power[1], planes).astype(np.float32)
+    error = np.reshape(seen.error[1:] / seen.power[1], planes).astype(np.float32)
     weight = 1 / ((_MODEL_ERROR * power) ** 2 + error**2)
     for _ in range(2):
-        level = (model * power * weight).sum(-1) / (model * model * weight).sum(-1)
-        fitted = level[..., None] * model
+        weighted = weight * model
+        level = (weighted * power).sum(0) / (weighted * model).sum(0)
+        fitted = level * model
         weight = 1 / ((_MODEL_ERROR * np.maximum(fitted, np.abs(power))) ** 2 + error**2)
     # Outliers count less (Charbonnier).
     each = 2 * (np.sqrt(1 + (power - fitted) ** 2 * weight) - 1)
-    misfit = each.sum(-1).min(0).astype(np.float64)
+    misfit = each.sum(0).min(0).astype(np.float64)
     # Where no scene fits, misfits count less (R. T. Birge 1932).
     misfit /= max(1.0, misfit.min() / (len(seen.power) - 3))
     unlikely = 2 * _SOFT[:, None] / _USUAL_SOFTNESS
@@ -325,8 +334,9 @@ def measure_lens_blur(
 
 
 def _summarise(cost: _Array, apertures: _Array, foci: _Array, ratios: _Array) -> LensBlur:
-    """The blur from the misfit (2, types, apertures, foci): the expected discs from the second one,
-    errors from the first.
+    """The blur from the misfit (2, types, apertures, foci).
+
+    The second row of the misfit gives the expected discs, the first row their errors.
     """
     allowed = cost[0] <= cost[0].min((1, 2), keepdims=True) + _LIMIT
     tried = apertures[..., None] * np.abs(ratios - foci[:, None])

@@ -75,9 +75,7 @@ _ACROSS = (20, 14)
 
 
 class Field(NamedTuple):
-    """A quantity in the middle of the flat and its slope per half diagonal to the right and down,
-    with errors.
-    """
+    """A quantity in the middle of the flat, and its slope per half diagonal, with errors."""
 
     value: float
     error: float
@@ -150,15 +148,25 @@ class _Tile(NamedTuple):
     light: Array  # (m,) over that in the middle of the microimages
     weight: Array  # (m,)
 
+    def thinned(self, most: float) -> _Tile:
+        """The same tile with about `most` squares, evenly chosen."""
+        some = evenly(len(self.light), most)
+        return self._replace(
+            kind=self.kind[some],
+            offset=self.offset[some],
+            light=self.light[some],
+            weight=self.weight[some],
+        )
+
 
 # The equations are too small for more threads to pay off: they would wait for each other.
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def measure_microimages(
-    flat: NDArray[Any], camera: Calibration, most: int = 5
+    flat: NDArray[Any], camera: Calibration, most: int = 5, squares: float = np.inf
 ) -> MicroimageField | None:
-    """Size and sharpness of the microimages of a white image, in at most so many tiles each way;
-    None where they cannot be measured.
+    """Size and sharpness of the microimages of a white image, or None without visible discs.
 
+    At most `most` tiles each way are measured, each on about `squares` squares of its cell.
     Values of 8 bits of which nobody knows whether they are linear are taken as explains the
     microimages better, or as both where that does not tell.
     """
@@ -166,7 +174,9 @@ def measure_microimages(
     model = _Model.of(camera)
     starts = []
     for encoded in (True, False) if unknown else (bool(camera.encoded),):
-        if tiles := _average_tiles(flat, camera, encoded, model.count, most):
+        tiles = _average_tiles(flat, camera, encoded, model.count, most)
+        tiles = [tile.thinned(squares) for tile in tiles]
+        if tiles:
             usual = model.start(_START_RADIUS * nearest_half(camera.lattice))
             round_one, straight = (
                 (m, *m.fit(tiles[0], usual), tiles) for m in (model, replace(model, straight=True))
@@ -288,9 +298,10 @@ class _Model:
 
 
 def _blurred_disc(far: Array, radius: Array, blur: Array, width: float) -> Array:
-    """Share of discs of radius `blur` at distances `far` from the middle of discs of `radius` that
-    lies in these, seen by squares of `width` [px]: mean over three places across one (Gauss and
-    Legendre).
+    """Share of blurring discs that lies inside larger discs.
+
+    The discs of radius `blur` lie at distances `far` from the middle of discs of `radius`, and are
+    seen by squares of `width` [px]: the mean over three places across one (Gauss and Legendre).
     """
     seen = (far < radius).astype(np.float64)
     near = np.flatnonzero(np.abs(far - radius) < blur + width / 2)
@@ -308,9 +319,7 @@ def _blurred_disc(far: Array, radius: Array, blur: Array, width: float) -> Array
 
 
 def _blurred_edge(depth: Array, blur: Array | float, width: float) -> Array:
-    """Share of discs of radius `blur` at `depth` [px] inside a straight edge that lies inside it,
-    the same way.
-    """
+    """Share of discs of radius `blur` that lies inside a straight edge, `depth` [px] away."""
     seen = np.zeros(len(depth))
     for place, weight in _ACROSS_PIXEL:
         t = np.clip((depth + width * place) / blur, -1, 1)

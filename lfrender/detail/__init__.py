@@ -1,3 +1,1 @@
-"""Detail of pictures: the noise of the flat, the known blur of its microlenses, and a filter that
-undoes it.
-"""
+"""Detail of pictures: noise, blur of the microlenses, and the filter that undoes both."""

@@ -1,5 +1,4 @@
-"""What blurs a picture: the discs of microlenses out of focus, the pixels of the flat, and reading
-between them.
+"""What blurs a picture: discs of microlenses, pixels of the flat, and interpolation.
 
 A flat alone does not tell a soft scene from a blurred one, and undoing a blur that is not there
 makes rings: detail is restored for both the smallest possible disc and the expected one. What is
@@ -21,6 +20,7 @@ __all__ = [
     "choose_blur",
     "interpolation_transfer",
     "possible_discs",
+    "shows_both_modes",
     "squares_to_average",
 ]
 
@@ -33,6 +33,8 @@ _TYPICAL_APERTURE = 0.2
 _TYPICAL_DISTANCE = 0.13
 #: [s / D] Microlenses are focused no farther from `s = 0`; wider rims mean wider apertures.
 _FARTHEST_FOCUS = 0.5
+#: Share of a surface that makes a scene lie on either side of `s = 0`.
+_LEAST_SHARE = 0.05
 #: [px^2] What interpolation averages, which `prefilter_flat` does not undo at high frequencies;
 #: discs hide it.
 _READING = 0.35
@@ -41,8 +43,10 @@ _OF_DISCS = 0.7
 
 
 def choose_blur(calibration: Calibration, depth: DepthMap) -> LensBlur | None:
-    """That of the camera file if it tells the aperture, else that of the depth map; None if it is
-    not that of as many lens types, or of rims alone, which tell the discs at `s = 0` only.
+    """The blur of the camera file if it tells the aperture, else that of the depth map.
+
+    It is None for another number of lens types, and for rims alone, which tell the discs at
+    `s = 0` only.
     """
     types = calibration.lens_types
     known = calibration.lens_blur
@@ -55,8 +59,9 @@ def choose_blur(calibration: Calibration, depth: DepthMap) -> LensBlur | None:
 
 
 def possible_discs(blur: LensBlur | None, ratios: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(2, types, n) diameters [px of the flat] of the smallest possible discs of defocus and of the
-    expected ones, at these `s / D`; zero without any measurement.
+    """(2, types, n) smallest and expected diameters [px of the flat] of discs at these `s / D`.
+
+    They are zero without any measurement.
     """
     if blur is None:
         return np.zeros((2, 1, len(ratios)))
@@ -64,12 +69,19 @@ def possible_discs(blur: LensBlur | None, ratios: NDArray[np.float64]) -> NDArra
     return np.stack([np.maximum(discs - errors, 0), discs])
 
 
+def shows_both_modes(patch_size: NDArray[np.float32]) -> bool:
+    """Whether a surface of these patch sizes lies on both sides of `s = 0`."""
+    positive = float((patch_size > 0).mean())
+    return _LEAST_SHARE < positive < 1 - _LEAST_SHARE
+
+
 def _likely_discs(
-    calibration: Calibration, blur: LensBlur | None, ratios: NDArray[np.float64]
+    calibration: Calibration,
+    blur: LensBlur | None,
+    ratios: NDArray[np.float64],
+    both_modes: bool,
 ) -> NDArray[np.float64]:
-    """(types, n) expected diameters [px of the flat] of the discs at these `s / D`, typical ones
-    where nothing tells them.
-    """
+    """(types, n) expected or typical diameters [px of the flat] of the discs at these `s / D`."""
     if blur is not None:
         return blur.at(ratios)[0]
     types = calibration.lens_types
@@ -86,22 +98,35 @@ def _likely_discs(
         known = edge > 2 * error
         widest = float(np.max(edge, where=known, initial=0.0))
         aperture = max(aperture, widest / _FARTHEST_FOCUS)
-        # Scenes lie on the side of `s = 0` where the microlenses are in focus.
-        typical = np.where(known, np.abs(aperture * np.abs(ratios) - edge), typical)
+        away = aperture * np.abs(ratios)
+        # Scenes lie on the side of `s = 0` where the microlenses are in focus. Of a scene on both
+        # sides, nothing tells which one that is.
+        likely = np.hypot(away, edge) if both_modes else np.abs(away - edge)
+        typical = np.where(known, likely, typical)
     return np.asarray(typical)
 
 
 def averaged_squares(
-    calibration: Calibration, blur: LensBlur | None, ratios: NDArray[np.float64]
+    calibration: Calibration,
+    blur: LensBlur | None,
+    ratios: NDArray[np.float64],
+    both_modes: bool = False,
 ) -> NDArray[np.float64]:
-    """Areas (n,) [px^2] of the squares that blur as discs and reading do, at these `s / D`."""
-    discs = _likely_discs(calibration, blur, ratios)
+    """(n,) areas [px^2] of squares that blur as discs and reading do, at these `s / D`.
+
+    With `both_modes`, the scene lies on both sides of `s = 0`.
+    """
+    discs = _likely_discs(calibration, blur, ratios, both_modes)
     shares = type_shares(calibration.lens_types, ratios, len(discs))
     return np.asarray(np.maximum(_OF_DISCS * (shares * discs**2).sum(0), _READING))
 
 
 def squares_to_average(
-    calibration: Calibration, blur: LensBlur | None, ratios: NDArray[np.float64], scale: float
+    calibration: Calibration,
+    blur: LensBlur | None,
+    ratios: NDArray[np.float64],
+    scale: float,
+    both_modes: bool = False,
 ) -> NDArray[np.float64]:
     """Areas (n,) [px^2] of the flat that are averaged for an output pixel, at these `s / D`.
 
@@ -112,14 +137,15 @@ def squares_to_average(
     pixel's own area less that of a pixel of the flat, and `v` that of `averaged_squares`. That was
     found for pixels of 1.2 to 8 px and discs up to 4 px.
     """
-    averaged = averaged_squares(calibration, blur, ratios)
+    averaged = averaged_squares(calibration, blur, ratios, both_modes)
     left = np.maximum((ratios * calibration.lattice.pitch / scale) ** 2 - 1, 1e-9)
     return np.asarray(np.maximum(left - averaged, 0) * (1 + averaged / (3 * left)))
 
 
 def interpolation_transfer(frequency: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Transfer function, at cycles per pixel along one axis, of bilinear interpolation of a flat
-    from `prefilter_flat`.
+    """Transfer function of bilinear interpolation of a flat from `prefilter_flat`.
+
+    The frequency is in cycles per pixel along one axis.
     """
     seen = np.minimum(np.abs(frequency), 1.0)
     return np.asarray(np.sinc(frequency) ** 2 * (1 + (1 - np.cos(2 * np.pi * seen)) / 6))

@@ -1,5 +1,4 @@
-"""Filters that undo the blur of the microlenses, as a table over patch size and power of the
-detail.
+"""Filters that undo the blur of the microlenses, by patch size and power of the detail.
 
 A Wiener filter makes the mean square error least: `T H S / (H^2 S + A + N)`, with the transfer
 function `H` of the picture, that of its pixels `T`, the power of detail `S`, what aliases `A`, and
@@ -65,11 +64,12 @@ def make_filters(
     scale: float,
     reach: float,
     depths: tuple[float, float],
+    both_modes: bool = False,
 ) -> DetailFilters:
-    """The filters for a blended picture of `scale` pixels per pitch whose patch sizes lie between
-    `depths` [px].
+    """The filters for a blended picture of `scale` pixels per pitch.
 
-    `noise` is as `measure_noise`; lenses farther than `reach` [pitch] are not averaged.
+    Patch sizes lie between `depths` [px], on one side of zero or on both. `noise` is as
+    `measure_noise`; lenses farther than `reach` [pitch] are not averaged.
     """
     # Filters are computed for 14 powers of detail [white^2] and 16 |s / D| of either sign, and
     # tabulated more finely.
@@ -80,7 +80,8 @@ def make_filters(
     per_octave = 2.0
     of_level = np.concatenate([-levels, levels])
     some = _is_near(of_level, step, np.array(depths) / calibration.lattice.pitch)
-    known, wanted, grain = _Levels.of(of_level[some], noise, calibration, blur, scale, reach).sums()
+    seen = _Levels.of(of_level[some], noise, calibration, blur, scale, reach, both_modes)
+    known, wanted, grain = seen.sums()
     fine = np.arange(round(levels[-1] * per_ratio) + 1) / per_ratio
     at = np.log(np.maximum(fine, levels[0]) / levels[0]) / np.log(step)
     near = np.concatenate([at, at + len(levels)])
@@ -121,9 +122,7 @@ def _averaged_views(ratio: _Table, calibration: Calibration, reach: float) -> _T
 
 
 def _is_near(ratios: _Table, step: float, depths: _Table) -> NDArray[np.bool_]:
-    """Which of the `s / D` a picture with these ends of its depths needs; the last of either sign,
-    for all beyond.
-    """
+    """Which of the `s / D` a picture with these ends of its depths needs, and the last ones."""
     size = np.abs(ratios)
     ends = np.sort((ratios * step, ratios / step), 0)
     last = (size == size.min()) | (size == size.max())
@@ -132,8 +131,9 @@ def _is_near(ratios: _Table, step: float, depths: _Table) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class _Levels:
-    """How a picture shows a scene at several `s / D`. Frequencies (f,) are in cycles per pixel of
-    the picture.
+    """How a picture shows a scene at several `s / D`.
+
+    Frequencies (f,) are in cycles per pixel of the picture.
     """
 
     grown: _Table  # (n, 1) side of a pixel of the flat [px of the picture]
@@ -154,6 +154,7 @@ class _Levels:
         blur: LensBlur | None,
         scale: float,
         reach: float,
+        both_modes: bool,
     ) -> _Levels:
         lattice = calibration.lattice
         size = np.abs(ratios)
@@ -161,7 +162,8 @@ class _Levels:
         discs = possible_discs(blur, ratios).swapaxes(1, 2) * grown[:, None]
         shares = type_shares(calibration.lens_types, ratios, discs.shape[2]).T
         averaged = _averaged_views(size, calibration, reach)
-        apart = np.sqrt(squares_to_average(calibration, blur, ratios, scale)) * grown
+        squares = squares_to_average(calibration, blur, ratios, scale, both_modes)
+        apart = np.sqrt(squares) * grown
         even = np.maximum(averaged / (discs.shape[2] * (shares**2).sum(1)), 1.0)
         return cls(grown[:, None], discs, shares, apart[:, None], (noise**2 / even)[:, None])
 
@@ -170,9 +172,7 @@ class _Levels:
         return np.asarray(read * np.sinc(fx * self.apart) * np.sinc(fy * self.apart))
 
     def left(self, fx: _Table, fy: _Table) -> tuple[_Table, _Table, _Table]:
-        """(n, f) what is left of each frequency of a scene, (f,) the power that is expected of it,
-        and (n, f) what is left of that.
-        """
+        """What is left of each frequency (n, f), its expected power (f,), and the rest of that."""
         frequency = np.hypot(fx, fy)
         disc = np.einsum(
             "nt,entf->enf",
@@ -185,9 +185,7 @@ class _Levels:
         return disc.mean(0) * pixel, scene, (disc**2).mean(0) * pixel**2 * scene
 
     def sums(self) -> _Table:
-        """(3, n, 23) of power of detail, of what is wanted of it, and of noise, weighted by
-        `_basis`.
-        """
+        """(3, n, 23) powers of detail, of the wanted detail, and of noise, weighted by `_basis`."""
         fx, fy, basis = _basis()
         parts = [self.left(fx + x, fy + y) for x, y in _FOLDS]
         left, scene, _ = parts[0]
@@ -222,8 +220,9 @@ def _bands(fx: _Table, fy: _Table) -> _Table:
 
 @lru_cache(1)
 def _basis() -> tuple[_Table, _Table, _Table]:
-    """Frequencies (f,) in a quarter of the spectrum, and (23, f): products of bands, bands, powers
-    but the first.
+    """Frequencies (f,) in a quarter of the spectrum, and the products of bands (23, f).
+
+    The products are those of all pairs, the bands, and the powers of all bands but the first.
     """
     across = (np.arange(8) + 0.5) / 16
     fx, fy = (axis.ravel() for axis in np.meshgrid(across, across))
@@ -233,8 +232,9 @@ def _basis() -> tuple[_Table, _Table, _Table]:
 
 
 def _fit(powers: _Table, known: _Table, wanted: _Table, grain: _Table) -> _Table:
-    """(p, n, bands): gains beyond the band's own of least mean square error, of `wanted / (known +
-    grain / power)`.
+    """(p, n, bands) gains of least mean square error for `wanted / (known + grain / power)`.
+
+    They are those beyond the gain of the band itself.
     """
     weight = powers[:, None, None] * known + grain
     count = len(SMOOTHING)

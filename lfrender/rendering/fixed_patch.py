@@ -63,7 +63,7 @@ def _nearest(x, y, patches):
 
 @njit(fastmath=FAST, error_model="numpy", forceinline=True)
 def _read_run(flat, at, across, down, fx, fy, size, line):
-    """Interpolate `size` values that follow each other in `flat`, from place `at` on, into `line`."""
+    """Interpolate `size` consecutive values of `flat`, from place `at` on, into `line`."""
     w11 = fx * fy
     w01 = fx - w11
     w10 = fy - w11

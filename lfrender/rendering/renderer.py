@@ -19,7 +19,7 @@ from lfcal import Calibration, LensBlur
 
 from ..data.rendering import Part, PictureGrid, convert_to_dtype
 from ..data.surface import Surface, edge_step, sample_surface_at
-from ..detail.blur import squares_to_average
+from ..detail.blur import shows_both_modes, squares_to_average
 from ..detail.filters import DetailFilters, make_filters
 from ..detail.restore import HALO, choose_filters, find_places, restore_detail
 from ..flat.gray_flat import is_encoded, white_level
@@ -125,7 +125,13 @@ class Renderer:
         sizes = self.surface.patch_size
         depths = float(sizes.min()), float(sizes.max())
         filters = make_filters(
-            self.calibration, self.lens_blur, self.noise, self.scale, self.reach, depths
+            self.calibration,
+            self.lens_blur,
+            self.noise,
+            self.scale,
+            self.reach,
+            depths,
+            self._both_modes,
         )
         return filters, choose_filters(filters, self.surface, self.grid)
 
@@ -273,8 +279,14 @@ class Renderer:
 
     @cached_property
     def _squares(self) -> NDArray[np.float32]:
-        left = squares_to_average(self.calibration, self.lens_blur, WEIGHT_RATIOS, self.scale)
+        left = squares_to_average(
+            self.calibration, self.lens_blur, WEIGHT_RATIOS, self.scale, self._both_modes
+        )
         return left.astype(np.float32)
+
+    @cached_property
+    def _both_modes(self) -> bool:
+        return shows_both_modes(self.surface.patch_size)
 
     @cached_property
     def _lenses(self) -> tuple[Lenses, NDArray[np.int64]]:

@@ -15,7 +15,7 @@ from lfcal.runtime.arrays import MOST, exposure_gain, to_eight_bits
 
 from ..data.depth_map import DepthMap, check_depth, default_scale
 from ..data.surface import edge_step
-from ..detail.blur import averaged_squares, choose_blur
+from ..detail.blur import averaged_squares, choose_blur, shows_both_modes
 from ..flat.gray_flat import correction_tables, has_uneven_lenses
 from ..flat.lens_graph import lens_displacements, lens_offsets, nearest_lens
 from ..flat.lens_type_weights import WEIGHT_RATIOS, focus_weights
@@ -189,7 +189,9 @@ def _tables(
     offsets, _ = lens_offsets(lattice, REFOCUS_REACH * lattice.pitch)
     displacements, low = lens_displacements(lattice)
     cell, shares = focus_weights(calibration.lens_types)
-    averaged = averaged_squares(calibration, choose_blur(calibration, depth), WEIGHT_RATIOS)
+    blur = choose_blur(calibration, depth)
+    both = shows_both_modes(surface.patch_size)
+    averaged = averaged_squares(calibration, blur, WEIGHT_RATIOS, both)
     virtual = virtual_depth(surface.patch_size, lattice.pitch)
     ends, middle = _planes(depth)
     moved = {

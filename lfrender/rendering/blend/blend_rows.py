@@ -41,11 +41,14 @@ class _Memory(NamedTuple):
     loops over runs.
     """
 
-    band: Any  # (3 + types, LINE) float32: slope s / D, squared reach, patch size, weight of each type, by column
-    grid: Any  # (2, m) float32: grid values of the surface between two rows of it, and of the nearer row
+    # (3 + types, LINE) float32, by column: slope s / D, squared reach, patch size, weights of types
+    band: Any
+    # (2, m) float32: grid values of the surface between two rows of it, and of the nearer row
+    grid: Any
     edge: Any  # (m,) bool: there is a depth edge in the grid cell
     place: Any  # (SECTION,) int32: grid cell, or entry of the weights, of each column
-    work: Any  # (4, RUN) float32: position between pixels x, y, weight and gain of each reading of a run
+    # (4, RUN) float32: position between pixels x, y, weight and gain of each reading of a run
+    work: Any
     whole: Any  # (2, RUN) int32: pixel of the flat and entry of the light table
     corners: Any  # (4, RUN): the pixels about each reading
     values: Any  # (runs, 4, RUN) float32: weight and three channels of each reading of all runs

@@ -11,7 +11,13 @@ import pytest
 
 from data_synth import Camera
 from lfcal import LensBlur, LensTypes
-from lfrender.detail.blur import choose_blur, possible_discs, squares_to_average
+from lfrender.detail.blur import (
+    averaged_squares,
+    choose_blur,
+    possible_discs,
+    shows_both_modes,
+    squares_to_average,
+)
 
 RATIOS = np.array([-0.4, -0.2])
 BLUR = LensBlur(8.0, 1.0, [0.0], [0.1], [-0.2, -0.4], [[1.0, 3.0]], [[0.5, 0.5]])
@@ -61,3 +67,17 @@ def test_what_is_averaged_changes_steadily_with_the_scale():
     ]
     assert np.abs(np.diff(left)).max() < 0.6
     assert left[-1] == 0
+
+
+def test_rims_tell_the_side_of_the_focus_only_of_scenes_on_one_side():
+    rims = LensBlur(9.0, 30.0, [0.1], [0.1], [0.0], [[3.0]], [[0.2]])
+    known = replace(camera(), lens_blur=rims)
+    # At 0.5 D, a usual aperture of 0.2 D leaves no disc on the side of the focus, and 6 px on the
+    # other.
+    ratio = np.array([-0.5])
+    assert averaged_squares(known, None, ratio)[0] < 0.5
+    assert averaged_squares(known, None, ratio, both_modes=True)[0] == pytest.approx(12.6, abs=0.1)
+    sizes = np.full((10, 10), -9.0, np.float32)
+    assert not shows_both_modes(sizes)
+    sizes[:5] = 9
+    assert shows_both_modes(sizes)

@@ -21,6 +21,15 @@ def test_blocks_of_jpeg_are_seen(quality, seen):
     assert has_blocks(flat) == seen
 
 
+def test_a_pattern_in_one_direction_is_no_block_of_jpeg():
+    stripes = 60.0 * (np.arange(400) // 8 % 2)
+    noise = np.random.default_rng(0).normal(90, 20, (400, 400, 1))
+    columns = noise + stripes[:, None]
+    assert not has_blocks(columns)
+    assert not has_blocks(columns.swapaxes(0, 1))
+    assert has_blocks(columns + stripes[:, None, None])
+
+
 def test_the_depth_map_keeps_the_blur_in_its_file(tmp_path):
     from dataclasses import replace
 
