@@ -14,6 +14,10 @@ __all__ = ["list_candidates", "list_depths", "mark_levels"]
 
 # Patch sizes of up to 0.8 pitches either way are told apart in so many levels, one bit each.
 _LEVELS = 64
+# Cost of a depth that is not present at a pixel, nearby, and that of the surface there, in units of
+# the mismatch. Without the second, plain surfaces of captures have more specks; with twice as much,
+# nine scenes lose 0.04 dB more.
+_COSTS = np.array([1, 0.015, 0], np.float32)
 
 
 @njit(inline="always")
@@ -151,9 +155,7 @@ def _mark_present(k, x, y, left, top, size, stride, surface, grid, levels, lense
 
 @njit(error_model="numpy", forceinline=True)
 def _keep_distinct(p, number, apart, work):
-    """Drop the depths of a pixel that differ by less than `apart` from one that the surface has
-    there; whether it has any.
-    """
+    """Drop the depths of a pixel that differ by less than `apart` from that of the surface."""
     value = work.value
     present = work.present
     among = work.among
@@ -161,23 +163,19 @@ def _keep_distinct(p, number, apart, work):
     for k in range(number):
         if own < 0 and present[k, p] == OWN:
             own = k
-    if own < 0:
-        return False
-    for k in range(number):
+    for k in range(number if own >= 0 else 0):
         if k != own and present[k, p] > 0 and abs(value[k, p] - value[own, p]) < apart:
             present[k, p] = 0
             among[p] -= 1
-    return True
 
 
 @njit(error_model="numpy")
 def list_candidates(
     x, y, left, top, size, stride, number, surface, grid, levels, lenses, before, apart, shape, work
 ):
-    """Fill `work` with the depths that each pixel may show; returns whether there is a choice
-    anywhere.
+    """Fill `work` with the depths that each pixel may show; returns whether there is a choice.
 
-    Depths must be `apart` [px] from that of the surface; another depth than that costs 0.03 more.
+    Depths must be `apart` [px] from that of the surface, and cost a little more.
     """
     widest = 0.0
     for k in range(number):
@@ -204,10 +202,8 @@ def list_candidates(
                     if abs(work.value[k, p] - before[py, px]) >= lenses.gap:
                         present[k, p] = 0
                     among[p] += present[k, p] > 0
-            own = _keep_distinct(p, number, apart, work)
+            _keep_distinct(p, number, apart, work)
             for k in range(number):
-                cost[k, p] = (
-                    1.0 if present[k, p] == 0 else (0.03 if own and present[k, p] != OWN else 0.0)
-                )
+                cost[k, p] = _COSTS[present[k, p]]
             choice = choice or among[p] > 1
     return choice

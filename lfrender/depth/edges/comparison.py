@@ -11,7 +11,6 @@ from numba import njit
 from lfcal.runtime.kernels import FAST
 
 from ..same_surface import depth_order
-from .microimage import LEFT_OUT
 
 __all__ = ["allow_mismatch", "compare_depth"]
 
@@ -93,30 +92,27 @@ def _leave_out_occluded(before, there, nearest, pitch, at, count, seen):
 
 
 @njit(error_model="numpy", fastmath=FAST, forceinline=True)
-def _add_lens(
-    apart, seen, allowed, begin, number, stride, leave_out, total, count, worst, second, mismatch
-):
+def _add_lens(apart, seen, allowed, begin, number, stride, total, count, mismatch):
     """Add the mismatch of patches with another lens for those of `number` pixels from place `begin`
-    on that have been compared with fewer than `_VIEWS`, and keep the two largest.
+    on that have been compared with fewer than `_VIEWS`.
+
+    The pixel itself counts half in a patch, the four beside it the other half.
     """
     one = np.uint64(1)
     down = np.uint64(stride)
-    fifth = np.float32(0.2)
+    half = np.float32(0.5)
+    eighth = np.float32(0.125)
     none = np.float32(0)
     enough = np.float32(_VIEWS)
     for n in range(number):
         p = begin + n
-        e = fifth * (apart[p] + apart[p - one] + apart[p + one] + apart[p - down] + apart[p + down])
+        beside = apart[p - one] + apart[p + one] + apart[p - down] + apart[p + down]
+        e = half * apart[p] + eighth * beside
         mismatch[p] = seen[p] * e / (e + allowed[p]) if count[p] < enough else none
     for n in range(number):
         total[begin + n] += mismatch[begin + n]
     for n in range(number):
         count[begin + n] += seen[begin + n] if count[begin + n] < enough else none
-    if leave_out > 0:
-        for n in range(number):
-            p = begin + n
-            rest = min(worst[p], mismatch[p])
-            worst[p], second[p] = max(worst[p], mismatch[p]), max(second[p], rest)
 
 
 @njit(error_model="numpy", fastmath=FAST, forceinline=True)
@@ -168,10 +164,8 @@ def _start_depth(k, size, stride, pitch, work):
 
 
 @njit(error_model="numpy")
-def _finish_depth(k, first, last, stride, leave_out, work):
-    """Add the mean mismatch of each pixel, but for up to `leave_out` lenses, to its cost; half of
-    the largest if unseen.
-    """
+def _finish_depth(k, first, last, stride, work):
+    """Add the mean mismatch of each pixel to its cost; half of the largest one if it is unseen."""
     among = work.among
     present = work.present
     cost = work.cost
@@ -179,30 +173,18 @@ def _finish_depth(k, first, last, stride, leave_out, work):
     total = work.sum
     left = work.left
     right = work.right
-    worst = work.worst
-    second = work.second
     for row in range(first, last):
         for p in range(row * stride + left[row], row * stride + right[row]):
             if among[p] > 1 and present[k, p] > 0:
-                count = int(number[p])
-                mismatch = np.float32(0.5)
-                if count > 0:
-                    left_out = min(leave_out, count // 2)
-                    mismatch = total[p]
-                    if left_out > 0:
-                        mismatch -= worst[p]
-                    if left_out > 1:
-                        mismatch -= second[p]
-                    mismatch = max(mismatch, np.float32(0.0)) / np.float32(count - left_out)
-                cost[k, p] += mismatch
+                seen = number[p]
+                cost[k, p] += total[p] / seen if seen > 0 else np.float32(0.5)
 
 
 @njit(error_model="numpy")
 def compare_depth(pixels, shape, lens, k, left, top, size, stride, lenses, before, work):
     """Add the mismatch with other lenses to the costs of depth k, for the pixels that may show it.
 
-    In the first round lenses that differ most may be occluded; later those that it, `before`, finds
-    occluded are.
+    In the second round lenses are left out that the first one, `before`, finds occluded.
     """
     first, last, slope = _start_depth(k, size, stride, lenses.pitch, work)
     if last == 0:
@@ -220,10 +202,8 @@ def compare_depth(pixels, shape, lens, k, left, top, size, stride, lenses, befor
     allowed = work.allowed
     total = work.sum
     count = work.count
-    worst = work.worst
-    second = work.second
     mismatch = work.mismatch
-    total[:], worst[:], second[:] = 0, 0, 0
+    total[:] = 0
     height, width = shape
     pitch = lenses.pitch
     radius = lenses.radius
@@ -232,7 +212,6 @@ def compare_depth(pixels, shape, lens, k, left, top, size, stride, lenses, befor
     own_y = centres[lens, 1]
     at_i = lenses.indices[lens, 0] - low[0]
     at_j = lenses.indices[lens, 1] - low[1]
-    leave_out = 0 if before.size > 1 else LEFT_OUT
     first = max(first, 1)
     last = min(last, size - 1)
     upper = first
@@ -299,11 +278,8 @@ def compare_depth(pixels, shape, lens, k, left, top, size, stride, lenses, befor
             np.uint64(begin * stride),
             np.uint64((end - begin) * stride),
             stride,
-            leave_out,
             total,
             count,
-            worst,
-            second,
             mismatch,
         )
         while upper < lower and _is_complete(count, upper, stride):
@@ -312,4 +288,4 @@ def compare_depth(pixels, shape, lens, k, left, top, size, stride, lenses, befor
             lower -= 1
         if upper >= lower:
             break
-    _finish_depth(k, first, last, stride, leave_out, work)
+    _finish_depth(k, first, last, stride, work)

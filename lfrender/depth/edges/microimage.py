@@ -10,7 +10,6 @@ from numba import njit
 __all__ = [
     "BINS",
     "DEPTHS",
-    "LEFT_OUT",
     "NEARBY",
     "OWN",
     "Microimage",
@@ -20,8 +19,6 @@ __all__ = [
 
 #: Patch sizes of a lens, at most.
 DEPTHS = 16
-#: Lenses that a pixel need not agree with in the first round, at most.
-LEFT_OUT = 2
 #: Bins of patch sizes that the surface has near a lens.
 BINS = 512
 #: A depth that the surface has near the place that a pixel shows at it; one that it has there.
@@ -51,8 +48,6 @@ class Microimage(NamedTuple):
     seen: Any  # (p,) 1: pixels that the other lens shows
     count: Any  # (p,) lenses that a pixel has been compared with, the most where it is not compared
     sum: Any  # (p,) of their mismatch
-    worst: Any  # (p,) the largest of these
-    second: Any  # (p,) and the second largest
     value: Any  # (k, p) [px] patch size that each depth has there
     cost: Any  # (k, p)
     total: Any  # (k, p) sum of the paths of semi-global matching
@@ -89,8 +84,6 @@ def make_microimage(size):
         box,
         np.zeros(n, np.uint8),
         box + np.float32(1),
-        box.copy(),
-        box.copy(),
         box.copy(),
         box.copy(),
         box.copy(),

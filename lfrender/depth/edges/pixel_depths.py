@@ -2,9 +2,8 @@
 
 Each pixel is compared with the pixels that other lenses would show it at (multi-view stereo with
 the microimage as the reference view), and semi-global matching (Hirschmueller 2008) inside the
-microimage regularises the choice. In the first round the better part of the views counts, since
-some are occluded; in the second round, those views that the first one finds occluded are left out
-(view selection, Schoenberger et al. 2016).
+microimage regularises the choice. In the second round, those views that the first one finds
+occluded are left out (view selection, Schoenberger et al. 2016).
 """
 
 from __future__ import annotations
@@ -21,6 +20,11 @@ from .comparison import allow_mismatch, compare_depth
 from .microimage import OWN, box_stride, make_microimage
 
 __all__ = ["measure_pixel_depths"]
+
+# Price of a depth edge between pixels of one brightness, in units of the mismatch, and the
+# difference of brightness [white] that halves it; with 0.08, scenes lose 0.04 dB more.
+_JUMP = np.float32(0.3)
+_EDGE_CONTRAST = np.float32(0.045)
 
 
 @njit(error_model="numpy")
@@ -67,10 +71,8 @@ def _aggregate_line(number, gap, p, step, steps, work):
             for k in range(number):
                 current[k] = cost[k, p]
         else:
-            # A depth edge costs 0.3 between pixels of one brightness, and less where it changes:
-            # half at 0.06.
-            edge = (light[p] - light[p - step]) / np.float32(0.06)
-            jump = np.float32(0.3) / (1 + edge * edge)
+            edge = (light[p] - light[p - step]) / _EDGE_CONTRAST
+            jump = _JUMP / (1 + edge * edge)
             for k in range(number):
                 best = jump
                 s = value[k, p]

@@ -23,7 +23,7 @@ _UNKNOWN = 0.5
 
 @njit(error_model="numpy", fastmath=FAST, forceinline=True)
 def _sample(pixels, width, px, py, out):
-    """Fill `out` with 3 x 3 samples about (px, py), a pixel apart, their mean and their variance."""
+    """Fill `out` with 3 x 3 samples about (px, py), a pixel apart, their mean and variance."""
     i = int(px)
     j = int(py)
     fx = px - np.float32(i)

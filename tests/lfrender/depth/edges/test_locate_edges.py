@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from scipy.ndimage import distance_transform_edt
@@ -50,6 +51,20 @@ def test_fewer_places_beside_branches_have_the_depth_of_the_other_surface(house_
         return float((np.abs(apart) > 0.05 * depth.pitch).mean())
 
     assert wrong(after) < 0.6 * wrong(depth)
+
+
+def test_no_region_smaller_than_a_tenth_of_a_square_pitch_differs_from_all_around(house_in_front):
+    _, _, depth, _, gray, lattice = house_in_front
+    values = depth.surface.patch_size.copy()
+    values[40:42, 40:42] = -0.3 * lattice.pitch
+    spotted = replace(depth, surface=replace(depth.surface, patch_size=values))
+    after = locate_edges(gray, lattice, spotted).surface
+    apart = 0.08 * lattice.pitch
+    levels = np.rint(after.patch_size * (8 / apart)).astype(np.int16)
+    before = levels.copy()
+    cv2.filterSpeckles(levels, -(2**15), int(0.1 * (lattice.pitch / after.spacing) ** 2), 8)
+    assert np.array_equal(levels, before)
+    assert np.isfinite(after.patch_size).all()
 
 
 def test_its_grid_is_finer_about_the_same_places(house_in_front):
