@@ -4,7 +4,6 @@ microimages of scenes.
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -197,9 +196,7 @@ def fit_lattice_to_scenes(
         rims += normalise_locally(edge_strength(sqrt_luminance(light)), window)
     if len(lights) > 1:
         rims /= np.float32(len(lights))
-    fit = _follow_gaps(fit_scene(rims, found), picture, start)
-    if fit is None:
-        return FinalLattice(found, float("nan"), 0, start.half_difference)
+    fit = fit_scene(rims, found)
     if fit.residual_rms > 0.02 * found.pitch and not fit.half_difference < start.half_difference:
         # Single lenses scatter too much: averages of whole tiles are the better measure.
         return FinalLattice(found, fit.residual_rms, fit.lenses_used, start.half_difference)
@@ -210,38 +207,3 @@ def _final(fit: LatticeFit, start: Lattice) -> FinalLattice:
     lattice = Lattice(fit.origin, fit.basis, start.image_size, start.radius, fit.distortion)
     errors = equal_weight_errors(lattice, fit.uncertainty)
     return FinalLattice(lattice, fit.residual_rms, fit.lenses_used, fit.half_difference, errors)
-
-
-def _follow_gaps(
-    fit: LatticeFit, picture: NDArray[np.float32], start: Candidate
-) -> LatticeFit | None:
-    """The fit that explains the flat best: to its edges, to its gaps, to its steps, or none, where
-    the start is better than all.
-
-    Scene detail that is alike in many lenses draws edges after it, but gaps are constant in all of
-    them. This is tried only where the fit to the edges has left the start.
-    """
-    from .detection.features import FlatFeatures
-    from .images.preprocessing import normalise_locally
-    from .scene_fit.fit import fit_scene
-
-    found = start.lattice
-    index = np.column_stack([np.ones(len(found)), found.indices()])
-    # A hundredth of a pitch is what starts are off by.
-    if fit.distortion is not None or _apart(fit, found, index) < 0.03 * found.pitch:
-        return fit
-    fits: list[LatticeFit | None] = [fit, None]
-    darkness = np.minimum(normalise_locally(picture, 2 * found.pitch), 0)
-    for feature in (darkness, FlatFeatures(picture).steps):
-        with suppress(CalibrationError):
-            fits.append(fit_scene(feature, found))
-    lattices = [found if one is None else one for one in fits]
-    explained = [start.explained(one.origin, one.basis) for one in lattices]
-    return fits[int(np.argmax(explained))]
-
-
-def _apart(fit: LatticeFit, found: Lattice, index: NDArray[np.float64]) -> float:
-    """RMS distance [px] of a fit from a lattice at the lenses of `index` (n, 3)."""
-    shift = np.rint((fit.origin - found.origin) @ np.linalg.inv(found.basis)) @ found.basis
-    change = np.vstack([fit.origin - found.origin - shift, fit.basis - found.basis])
-    return field_rms(index, change)

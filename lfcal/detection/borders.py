@@ -125,12 +125,6 @@ class LineProfile:
         within = float(beside @ [-1, 0, 1]) / max(float(beside.sum()), 1e-9)
         return float(away[best]) + within / bins, float(whole[best])
 
-    def height(self, border: float) -> float:
-        """Steps on the lines at the fractional coordinate `border` less the median of all."""
-        whole = self.mean.mean(0)
-        near, _ = self._parts(border)
-        return float(whole[near].max() - np.median(whole)) if near.any() else 0.0
-
     def contrast(self, border: float) -> float:
         """How far the lines at the fractional coordinate `border` stand out from all between them.
 
@@ -160,22 +154,6 @@ class LineProfile:
         near = away < max(min(_NEAR, self.period / 8), 0.75 * self.period / bins)
         between = away > max(_NEAR + 1, _GAP * self.period)
         return near, between
-
-
-def measure_borders(steps: Singles, origin: Floats, basis: Floats) -> float:
-    """Coherence of the lines midway between the lenses of a lattice (`origin`, `basis` [px]).
-
-    The mean over both families of the height of the lines times the standard deviation of the
-    profile, which falls as soon as lines are smeared over several pixels.
-    """
-    frequencies = np.linalg.inv(basis).T
-    borders = frequencies @ origin + 0.5
-    profiles = [LineProfile.measure(steps, one) for one in frequencies]
-    found = [
-        one.height(at) * float(one.mean.mean(0).std())
-        for one, at in zip(profiles, borders, strict=True)
-    ]
-    return float(np.mean(found))
 
 
 def find_line_periods(steps: Singles) -> Iterator[Floats]:

@@ -20,7 +20,7 @@ from ..lattice.lattice import Lattice, reduce_basis
 from ..lattice.stated import LatticeHint
 from ..runtime.arrays import Floats, Singles
 from ..runtime.errors import CalibrationError
-from .borders import LineProfile, find_line_periods, fit_touching_cells, measure_borders
+from .borders import LineProfile, find_line_periods, fit_touching_cells
 from .cell_centre import find_round_centres
 from .cell_maps import CellMaps, CellParts, estimate_explained, measure_classes, tile_side
 from .features import FlatFeatures
@@ -65,16 +65,6 @@ class Candidate:
     def half_difference(self) -> float:
         """RMS distance [px] of the lattices of two halves of the flat."""
         return self.evidence.halves * self.lattice.pitch
-
-    def explained(self, origin: Floats, basis: Floats) -> float:
-        """How well a lattice [px] explains the flat: by its lines where lenses touch, else as
-        `CellMaps.explained`.
-        """
-        scale = self.features.picture.shape[1] / self.lattice.image_size[0]
-        if self.evidence.borders > _TOUCHING:
-            place = (origin + 0.5) * scale - 0.5
-            return measure_borders(self.features.steps, place, basis * scale)
-        return CellMaps.measure(self.features, basis * scale).explained()
 
 
 def find_candidates(

@@ -7,7 +7,6 @@ from lfcal.detection.borders import (
     LineProfile,
     find_line_periods,
     fit_touching_cells,
-    measure_borders,
 )
 from lfcal.detection.features import FlatFeatures
 from lfcal.detection.spectrum import is_same_lattice
@@ -51,15 +50,6 @@ def test_contrast_tells_borders_from_multiples_fractions_and_shifts_of_their_per
     for wrong in (1 / 9, 1 / 36, 1 / 17.3):
         profile = LineProfile.measure(steps, np.array([wrong, 0]))
         assert profile.contrast(profile.strongest) < 0.3
-
-
-def test_borders_are_most_coherent_at_the_right_lattice():
-    basis = np.diag([18.0, 18.0])
-    origin = np.array([200.0, 150.0])
-    steps = elemental_images(basis, origin)
-    right = measure_borders(steps, origin, basis)
-    assert right > 1.5 * measure_borders(steps, origin, 1.002 * basis)
-    assert right > 3 * measure_borders(steps, origin + 9, basis)
 
 
 def test_noise_has_no_lines():
