@@ -33,6 +33,8 @@ __all__ = ["Candidate", "find_candidates", "measure_basis"]
 
 #: [px] shortest distance between microimages: smaller ones hold too few pixels.
 _SHORTEST = 6.0
+#: Cells that are longer than so many times their width are none of lenses.
+_OBLONG = 4.0
 #: Periods that are measured at most, and centres of each that are compared with their neighbours.
 _MOST_PERIODS = 16
 _MOST_CENTRES = 3
@@ -164,6 +166,8 @@ def _search(
         if hint is not None and not hint.allows(Lattice(np.zeros(2), basis, (1, 1), 1.0)):
             continue
         tried.append(basis)
+        if np.hypot(*basis.T).max() > _OBLONG * shortest:
+            continue
         first, *others = _measure_period(features, basis)
         found += _refine_candidate(first)
         waiting += others[: (_ALL_CENTRES if thorough else _MOST_CENTRES) - 1]

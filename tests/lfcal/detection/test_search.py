@@ -147,6 +147,16 @@ def test_thin_dark_lines_between_square_lenses_are_a_lattice(seed):
     assert camera.confidence > 0.9
 
 
+@pytest.mark.filterwarnings("error")
+def test_long_narrow_cells_are_not_measured():
+    y, x = np.indices((420, 500))
+    noise = np.random.default_rng(5).normal(0, 0.05, x.shape)
+    bars = ((x % 8 < 4) & (y % 70 < 64)) + noise
+    found = find_candidates(bars.astype(np.float32).clip(0) + 0.2)
+    sides = [np.hypot(*one.lattice.basis.T) for one in found]
+    assert all(side.max() < 5 * side.min() for side in sides)
+
+
 def test_half_a_cell_away_parallax_and_circles_are_fewer(house):
     found = find_candidates(sqrt_luminance(house.flat), thorough=True)
     pitch = house.camera.lattice.pitch
