@@ -36,19 +36,16 @@ class FinalLattice:
     lattice: Lattice
     residual_rms: float  # [px] robust RMS distance of single microimages from the lattice
     lenses_used: int
-    half_difference: (
-        float  # [px] RMS distance over the flat of the lattices of two halves of the microimages
-    )
+    # [px] RMS distance over the flat of the lattices of two halves of the microimages
+    half_difference: float
     errors: LatticeErrors | None = None  # None where the lattice is the first one
-    cat_eye: CatEye | None = (
-        None  # disc that cuts microimages (mechanical vignetting), where there is one
-    )
+    # Disc that cuts microimages (mechanical vignetting), where there is one.
+    cat_eye: CatEye | None = None
     residuals: Residuals | None = None  # of single microimages, in white images
     # [px] RMS distance from the first lattice, less that due to distortion and cut microimages
     displacement: float = 0.0
-    doubt: str | None = (
-        None  # why the centres may be others, as those of the disc that cuts the microimages
-    )
+    # Reason why the centres may be others, as those of the disc that cuts the microimages.
+    doubt: str | None = None
 
 
 def fit_lattice_to_white_image(

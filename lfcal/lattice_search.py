@@ -33,9 +33,8 @@ _MOST_FITTED = 3
 class FittedLattice:
     """A lattice fitted to a picture, with what speaks for it."""
 
-    picture: (
-        NDArray[np.float32] | StackedCrops
-    )  # (h, w) root of the luminance, or crops of a white image
+    # (h, w) root of the luminance, or crops of a white image
+    picture: NDArray[np.float32] | StackedCrops
     white: bool  # the flat is a white image
     fit: FinalLattice
     evidence: Evidence

@@ -53,9 +53,8 @@ class CornerFits(NamedTuple):
 
     position: Array  # (n, 2) [px]
     error: Array  # (n,) [px] standard error along each axis, from the residuals
-    contrast: (
-        Array  # (n,) half the difference of the grey values; the sign shows which squares are dark
-    )
+    # (n,) half the difference of the grey values; the sign shows which squares are dark
+    contrast: Array
     blur: Array  # (n,) [px] standard deviation of the blur
     good: Booleans  # (n,) whether the fit can be used
 

@@ -33,8 +33,6 @@ _LIT = 0.4
 _FEWEST_MARKS = 20
 #: Share of the points beside a lattice with circles, from which on these are the lenses.
 _RIMS_BESIDE = 0.3
-#: Cosine of the angle between the lattice directions from which on an array is hexagonal.
-_SLANTED = 0.35
 #: Shifts [cells] that a wrong lattice may have against the right one.
 _SHIFTS = ((0.5, 0.0), (0.0, 0.5), (0.5, 0.5), (1 / 3, 1 / 3), (2 / 3, 2 / 3))
 
@@ -78,16 +76,15 @@ def measure_evidence(
         inverted=_inverted_likeness(maps.brightness),
         explained=maps.explained(),
         shape=_shape_share(maps, parts, centre),
-        borders=_measure_borders(lattice.basis, centre, lines),
+        borders=_measure_borders(lattice, centre, lines),
     )
 
 
-def _measure_borders(basis: Floats, centre: Floats, lines: Sequence[LineProfile]) -> float:
+def _measure_borders(lattice: Lattice, centre: Floats, lines: Sequence[LineProfile]) -> float:
     """Contrast of the fainter of two families of lines between lenses; 0 for hexagonal arrays,
     whose cells have no straight borders through the flat.
     """
-    a, b = basis
-    if abs(a @ b) > _SLANTED * np.hypot(*a) * np.hypot(*b):
+    if len(lattice.steps) == 6:
         return 0.0
     return min(line.contrast((along + 0.5) % 1) for line, along in zip(lines, centre, strict=True))
 

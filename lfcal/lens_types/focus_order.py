@@ -36,13 +36,11 @@ __all__ = ["FLATTENED", "MIN_SPREAD", "RIM_FAULT", "FocusOrder", "TypeMeans", "f
 class FocusOrder(NamedTuple):
     """Lens types in the order of their focus."""
 
-    sequence: (
-        Integers  # (count,) provisional types, from focus at the largest `|s|` to the smallest
-    )
+    # (count,) provisional types, from focus at the largest `|s|` to the smallest
+    sequence: Integers
     known: bool  # the sequence is measured, not just the provisional one
-    focus: (
-        Floats  # (count,) `s / D` at which each provisional type is sharpest, NaN where not known
-    )
+    # (count,) `s / D` at which each provisional type is sharpest, NaN where not known
+    focus: Floats
 
 
 def find_focus_order(

@@ -94,17 +94,18 @@ def decode_type(entry: Any) -> Any:
     """A type of Numba from its entry: the name of a number, an array, or a (named) tuple."""
     from numba import types
 
-    if isinstance(entry, str):
-        return getattr(types, entry)
-    if entry[0] == "array":
-        _, number, axes, layout, writable = entry
-        return types.Array(getattr(types, number), axes, layout, readonly=not writable)
-    _, name, *members = entry
-    made_by = None
-    if name:
-        module, _, kind = name.partition(":")
-        made_by = getattr(import_module(module), kind)
-    return types.BaseTuple.from_types([decode_type(member) for member in members], made_by)
+    match entry:
+        case str():
+            return getattr(types, entry)
+        case "array", number, axes, layout, writable:
+            return types.Array(getattr(types, number), axes, layout, readonly=not writable)
+        case "tuple", name, *members:
+            made_by = None
+            if name:
+                module, _, kind = name.partition(":")
+                made_by = getattr(import_module(module), kind)
+            return types.BaseTuple.from_types([decode_type(one) for one in members], made_by)
+    raise ValueError(f"an entry of {SIGNATURE_FILE.name} is no type: {entry!r}")
 
 
 def _silence() -> None:

@@ -266,9 +266,8 @@ class WhiteFit:
     residual_rms: float  # [px] robust RMS distance of single microimages from the lattice
     errors: LatticeErrors  # as the scatter of the microimages implies
     lenses_used: int
-    half_difference: (
-        float  # [px] RMS distance over the flat between the fits of two halves of the microimages
-    )
+    # [px] RMS distance over the flat between the fits of two halves of the microimages
+    half_difference: float
     residuals: Residuals  # [px] of the single microimages that took part
 
 

@@ -19,9 +19,8 @@ class LocalMatch(NamedTuple):
     cost: Singles  # (n,) at that depth
     offset: Singles  # (n,) [px of the search] from there to the minimum
     error: Singles  # (n,) [px of the search] standard error of the offset for one pair
-    clear: (
-        Booleans  # (n,) lenses with texture, and with any that a match may distinguish from noise
-    )
+    # (n,) lenses with texture, and with any that a match may distinguish from noise
+    clear: Booleans
     textured: Booleans
 
     def where(self, mask: Booleans, other: LocalMatch) -> LocalMatch:

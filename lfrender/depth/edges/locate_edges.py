@@ -92,6 +92,8 @@ def locate_edges(
 def _remove_specks(values: NDArray[np.float32], area: float, apart: float) -> NDArray[np.float32]:
     """The grid without regions of up to this area [grid values] that differ by more than `apart`
     [px] from all around.
+
+    Regions take the largest patch size beside them.
     """
     none = np.iinfo(np.int16).min
     # Steps of an eighth of the difference: patch sizes of many pitches fit into 16 bits.

@@ -42,9 +42,8 @@ class Flat(NamedTuple):
     """A part of a flat."""
 
     pixels: Any  # (h, w, C) array; (h, w) of C values each in one integer for `blend_rows`
-    depth: (
-        Any  # (h, w) float32 [px]: patch size that pixels of `edged` lenses show, inf where unlit
-    )
+    # (h, w) float32 [px]: patch size that pixels of `edged` lenses show, inf where unlit
+    depth: Any
     corner: Any  # (2,) int [px]: flat coordinates x, y of the first pixel
     size: Any  # (2,) int [px]: width and height of the whole flat
 
@@ -61,13 +60,11 @@ class Lenses(NamedTuple):
     low: Any  # (2,) int64
     origin: Any  # (2,) float64 [px]
     inverse: Any  # (2, 2) float64: of the basis
-    displacements: (
-        Any  # (m, n, 2) of a distorted lattice, from its straight one; (0, 0, 2) if straight
-    )
+    # (m, n, 2) of a distorted lattice, from its straight one; (0, 0, 2) if straight
+    displacements: Any
     lowest: Any  # (2,) int64: lattice index of the first displacement
-    offsets: (
-        Any  # (k,) float32 [px]: least distance of lenses so many steps apart, the nearest first
-    )
+    # (k,) float32 [px]: least distance of lenses so many steps apart, the nearest first
+    offsets: Any
     steps: Any  # (k, 2) int32: those steps, in lattice indices
     shares: Any  # (types, r) float32: weight of a type over s / D from -1 to 1
     pitch: Any  # float32 [px]
@@ -97,17 +94,15 @@ class Weighting(NamedTuple):
     """Which lenses count, and how much."""
 
     reach: Any  # float32 [px]: lenses farther from a scene point are not read
-    widest: (
-        Any  # float32 [px]: lenses are read up to so far from their centres, the viewpoint included
-    )
+    # float32 [px]: lenses are read up to so far from their centres, the viewpoint included
+    widest: Any
     # (3,) float32: x, y [px] and squared radius [px^2] up to which lenses are read about it
     viewpoint: Any
     # float32: difference from the mean colour at which a lens counts a quarter; 0: nearest lens
     # alone
     tolerance: Any
-    squares: (
-        Any  # (r,) float32 [px^2]: area of the flat that is left to average over s / D from -1 to 1
-    )
+    # (r,) float32 [px^2]: area of the flat that is left to average over s / D from -1 to 1
+    squares: Any
 
 
 class Output(NamedTuple):
