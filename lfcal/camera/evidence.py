@@ -21,6 +21,7 @@ from .proofs import (
     is_mesh,
     is_one_lens,
     proof_by_borders,
+    proof_by_circles,
     proof_by_content,
     proof_by_shape,
     proof_terms,
@@ -115,7 +116,7 @@ class Evidence(LatticeFigures):
         if proof_by_shape(self) > _STATED:
             circles = f"circles lie on {max(self.circles, 0.0):.0%} of the lattice points"
             proofs.append(f"the average cell has the shape of a lens, and {circles}")
-        if proof_by_content(self) > _STATED:
+        if max(proof_by_content(self), proof_by_circles(self)) > _STATED:
             proofs.append("neighbours show the same content, shifted")
         if proof_by_borders(self) > _STATED:
             proofs.append("cells touch each other on straight lines")

@@ -1,7 +1,8 @@
 """Proofs of lenses, and objections to them, that follow from the figures of a lattice.
 
-There are three proofs: the average cell has the shape of a lens; neighbours match in content,
-shifted; or lenses touch each other on straight lines, and neighbours match. Each proof and each
+There are four proofs: the average cell has the shape of a lens; neighbours match in content,
+shifted; circles lie on the points, and neighbours match; or lenses touch each other on straight
+lines, and neighbours match. Each proof and each
 objection is a product of shares, 0 to 1, and each share is a ramp of one figure.
 """
 
@@ -17,6 +18,7 @@ __all__ = [
     "is_mesh",
     "is_one_lens",
     "proof_by_borders",
+    "proof_by_circles",
     "proof_by_content",
     "proof_by_shape",
     "proof_terms",
@@ -37,6 +39,8 @@ class _Ramp(NamedTuple):
 # to 20), pictures that are no flats (seeds 0 to 300) and the shared captures; other seeds test them.
 # Average cell: shares of it, and [ln] light of its middle over that of its border.
 _FINE = _Ramp(0.01, 0.06)  # waves have 0.00, blurred arrays of microscopes 0.09
+_FINER = _Ramp(0.05, 0.08)  # woven cloth has 0.06 at most, and is inverted by 0.89 and more
+_HARDLY_INVERTED = _Ramp(0.86, 0.9)
 _INVERTED = _Ramp(0.93, 0.97)  # boards and waves have 0.97 and more, arrays 0.88 at most
 _LENS_SHAPE = _Ramp(0.75, 0.97)
 _ROUGH_SHAPE = _Ramp(0.55, 0.8)
@@ -47,13 +51,17 @@ _BRIGHT_MIDDLE = _Ramp(0.0, 0.05)
 _CONTENT_INSIDE = _Ramp(0.5, 2.0)  # [ln] variance from lens to lens in the middle over that in gaps
 _ALTERNATING = _Ramp(0.08, 0.15)  # lens types differ by 0.07 at most, half a cell by 0.16 and more
 _ALTERNATING_BORDERS = _Ramp(0.15, 0.3)  # content leaves up to 0.15 where there are no gaps
+_ALTERNATING_CIRCLES = _Ramp(0.15, 0.25)
 _REPEATS = _Ramp(0.78, 0.88)  # gaps of real arrays 0.84 and more, content 0.77 at most
 # Marks found without the lattice: share of its points.
 _SOME_CIRCLES = _Ramp(0.02, 0.12)
 _MANY_CIRCLES = _Ramp(0.1, 0.4)
 _ALL_CIRCLES = _Ramp(0.0, 1.0)
+_MOST_CIRCLES = _Ramp(0.5, 0.75)
+_RIMS = _Ramp(0.6, 0.9)  # simulated discs that touch have 0.98 and more
 _OVERLAP = _Ramp(0.3, 0.6)  # overlapping discs of white images have 0.65 and more
 # [local deviations] steps on outlines, and contrast of the lines between cells that touch.
+_SOME_OUTLINE = _Ramp(0.0, 0.1)  # dots of print have less than 0, discs 0.14 and more
 _OUTLINE = _Ramp(0.1, 0.6)
 _BORDERS = _Ramp(0.3, 0.6)
 _PLAIN_BORDERS = _Ramp(0.6, 0.85)  # ray-traced square lenses have 0.92 and more, content 0.5
@@ -68,6 +76,7 @@ _UNEVEN = _Ramp(0.04, 0.12)  # share of lenses; white images have 0.01 at most, 
 _DARK_GAPS = _Ramp(0.5, 1.2)  # [ln] light; black gaps of ray-traced scenes have 1.2 and more
 _BLACK_GAPS = _Ramp(1.0, 2.0)
 _TILE_TONES = _Ramp(-4.0, -2.5)
+_BEYOND_INSIDE = _Ramp(1.3, 2.0)  # an unfocused camera has 1.2, other arrays 0.9, tiles 2.0
 # [ln] gain of neighbours that are shifted against each other.
 _SOME_MATCH = _Ramp(0.2, 0.35)
 _MATCH = _Ramp(0.3, 1.0)
@@ -75,6 +84,7 @@ _STRONG_MATCH = _Ramp(0.8, 1.3)
 _TILES_MATCH = _Ramp(0.0, 0.5)
 _STILL = _Ramp(0.2, 0.5)
 _MOVED = _Ramp(0.0, 0.15)
+_MOVED_ON = _Ramp(0.1, 0.25)
 _GOES_ON = _Ramp(0.1, 0.3)
 _SIDES_MATCH = _Ramp(0.4, 0.8)
 # [pitch] difference of the lattices of two halves of the flat.
@@ -85,18 +95,21 @@ _SHAPE_PROOF = _Ramp(0.1, 0.7)
 _CONTENT_PROOF = _Ramp(0.5, 0.85)
 # Share of a proof that is left for cells that are not round.
 _NOT_ROUND = 0.6
+# The same for dark discs without content: lenses in bright gaps, or a sheet with holes.
+_MAY_BE_HOLES = 0.4
 
 
 def proof_terms(figures: LatticeFigures) -> dict[str, float]:
     """What the log odds are linear in, each 0 to 1.
 
-    There are three proofs of lenses: the average cell has their shape, with circles at its
-    centres or gaps that never change; neighbours match in content, shifted; or lenses touch
-    each other on straight lines, and neighbours match. None counts for cells without edges.
+    There are four proofs of lenses: the average cell has their shape, with circles at its
+    centres or gaps that never change; neighbours match in content, shifted; circles lie on the
+    points, and neighbours match; or lenses touch each other on straight lines, and neighbours
+    match. None counts for cells without edges.
     """
     by_shape = proof_by_shape(figures)
     content = proof_by_content(figures) * edges(figures) * is_one_lens(figures)
-    by_content = _CONTENT_PROOF(content)
+    by_content = max(_CONTENT_PROOF(content), proof_by_circles(figures))
     everywhere = is_everywhere(figures)
     return {
         "proof": max(by_shape, by_content, proof_by_borders(figures)) * everywhere,
@@ -113,25 +126,40 @@ def proof_by_shape(figures: LatticeFigures) -> float:
     change.
     """
     # What neighbours share is no noise.
-    scene = _shows_scene(figures) * _SOME_MATCH(figures.parallax)
+    textured = max(_TEXTURED(figures.inside), _DETAILED(figures.inside + figures.detail))
+    scene = textured * _neighbours_are_alike(figures) * _SOME_MATCH(figures.parallax)
     windows = _CONTENT_INSIDE(figures.content) * scene
     overlap = _OVERLAP(figures.overlap)
     shape = _LENS_SHAPE(figures.shape) * max(_ALL_CIRCLES(figures.circles), windows, overlap)
     shape *= _NOT_ROUND + (1 - _NOT_ROUND) * _ROUND(figures.roundness)
-    # Gaps of a white image are bright only where microimages overlap.
-    shape *= max(_BRIGHT_MIDDLE(figures.light), scene, overlap) * (1 - _OVERLAP(-figures.overlap))
+    # Gaps of a white image are bright only where microimages overlap. Dark discs may be holes.
+    dark = _MAY_BE_HOLES * _is_disc(figures)
+    shape *= max(_BRIGHT_MIDDLE(figures.light), scene, overlap, dark)
+    shape *= 1 - _OVERLAP(-figures.overlap)
     return _SHAPE_PROOF(shape * edges(figures) * is_one_lens(figures))
 
 
+def _is_disc(figures: LatticeFigures) -> float:
+    """How far cells are discs of one tone everywhere on the flat, 0 to 1."""
+    same = _neighbours_are_alike(figures) * _REPEATS(figures.repeats)
+    return _CIRCULAR(figures.roundness) * same
+
+
 def edges(figures: LatticeFigures) -> float:
-    """0 for waves and boards, whose light and dark places have one shape, else 1."""
-    return _FINE(figures.fine) * (1 - _INVERTED(-figures.inverted))
+    """0 for waves, cloth and boards, whose light and dark places have one shape, else 1."""
+    cloth = _HARDLY_INVERTED(-figures.inverted) * (1 - _FINER(figures.fine))
+    return _FINE(figures.fine) * (1 - _INVERTED(-figures.inverted)) * (1 - cloth)
 
 
 def _unmatched_tones(figures: LatticeFigures) -> float:
-    """How far cells with outlines differ in tone, as tiles do, and do not match, 0 to 1."""
-    differ = _TILE_TONES(figures.between)
-    return _ALL_CIRCLES(figures.circles) * differ * (1 - _TILES_MATCH(figures.parallax))
+    """How far cells with outlines differ in tone, as tiles do, and do not match, 0 to 1.
+
+    Neighbours see a scene from places less than a pitch apart: it changes from lens to lens
+    no more than inside lenses.
+    """
+    differ = _ALL_CIRCLES(figures.circles) * _TILE_TONES(figures.between)
+    beyond = _BEYOND_INSIDE(figures.between - figures.inside - figures.detail / 2)
+    return differ * max(1 - _TILES_MATCH(figures.parallax), beyond)
 
 
 def _unmatched_content(figures: LatticeFigures) -> float:
@@ -161,7 +189,9 @@ def is_everywhere(figures: LatticeFigures) -> float:
     that show on all sides of the cells are no content.
     """
     moved = figures.parallax - figures.still
-    rims = max(_PLAIN_BORDERS(figures.borders), _CLOSED(figures.closed))
+    circles = _RIMS(figures.circles) * _ROUND(figures.roundness)
+    circles *= _SOME_OUTLINE(figures.outline)
+    rims = max(_PLAIN_BORDERS(figures.borders), _CLOSED(figures.closed), circles)
     content = _STILL(figures.still) * (1 - _MOVED(moved)) * (1 - rims)
     return 1 - content * (1 - _REPEATS(figures.repeats))
 
@@ -200,6 +230,16 @@ def proof_by_content(figures: LatticeFigures) -> float:
     return match * _shows_scene(figures) * outlined * (_NOT_ROUND + (1 - _NOT_ROUND) * symmetric)
 
 
+def proof_by_circles(figures: LatticeFigures) -> float:
+    """How far circles prove lenses, 0 to 1: they lie on most points, and neighbours match, shifted
+    rather than still.
+    """
+    circles = _MOST_CIRCLES(figures.circles - max(figures.circles_beside, 0.0))
+    moved = _MOVED_ON(figures.parallax - figures.still)
+    match = _SOME_MATCH(figures.parallax) * moved * _shows_scene(figures)
+    return circles * match * edges(figures) * (1 - _ALTERNATING_CIRCLES(figures.classes))
+
+
 def proof_by_borders(figures: LatticeFigures) -> float:
     """How far straight borders prove lenses, 0 to 1: they touch, and their neighbours match.
 
@@ -223,6 +263,9 @@ def _shows_scene(figures: LatticeFigures) -> float:
     """How far cells show a scene, 0 to 1: neighbours have about one tone, or match well, and more
     than noise.
     """
-    textured = _TEXTURED(figures.inside)
-    differ = _UNLIKE_TONES(figures.between) * (1 - _STRONG_MATCH(figures.parallax))
-    return textured * (1 - differ)
+    return _TEXTURED(figures.inside) * _neighbours_are_alike(figures)
+
+
+def _neighbours_are_alike(figures: LatticeFigures) -> float:
+    """How far neighbours have one tone, or match well, 0 to 1."""
+    return 1 - _UNLIKE_TONES(figures.between) * (1 - _STRONG_MATCH(figures.parallax))

@@ -24,15 +24,18 @@ _LENSES = 500
 _PERIOD = 6
 #: Share of the radius that is measured, within which a spot is in the middle.
 _CENTRAL = 0.4
+#: Relative difference of light that makes a lens unlike its neighbours.
+_UNLIKE = 0.1
 
 
 class Tones(NamedTuple):
     """Scatter of the light of microimages, relative to the light."""
 
     inside: float  # standard deviation inside the typical lit microimage, without what all share
-    between: float  # robust standard deviation from what the neighbours on both sides have
+    # robust standard deviation from what the neighbours on both sides have, beyond noise
+    between: float
     detail: float  # the same in lenses with much detail (95 %), over that in typical ones
-    unlike: float  # share of lenses that differ from their neighbours by a tenth or more
+    unlike: float  # share of lenses that differ from their neighbours by `_UNLIKE`, beyond noise
 
 
 def measure_tones(picture: Singles, lattice: Lattice) -> Tones | None:
@@ -77,7 +80,11 @@ def measure_tones(picture: Singles, lattice: Lattice) -> Tones | None:
     # Half of all squares of normal values lie below 0.4549; a second difference has six times the
     # variance.
     between = float(np.median([np.sqrt(np.median(one**2) / 0.4549 / 6) for one in bends]))
-    return Tones(float(inside), between, detail, float((bend > 0.1).mean()))
+    # Noise inside lenses scatters their means, too, and second differences by the root of six.
+    noise = float(inside) / np.sqrt(len(core))
+    between = float(np.sqrt(max(between**2 - noise**2, 0.0)))
+    unlike = bend > np.hypot(_UNLIKE, 2 * np.sqrt(6) * noise)
+    return Tones(float(inside), between, detail, float(unlike.mean()))
 
 
 def _scatter_inside(shape: Floats, core: Floats) -> Floats:
