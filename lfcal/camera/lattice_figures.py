@@ -38,9 +38,6 @@ class LatticeFigures:
     outline : float
         Steps of brightness on the outline of lenses, round or along the cell, less those inside
         [local deviations].
-    closed : float
-        What the steps on nine tenths of that outline exceed, less those inside [local deviations]:
-        rims show on all sides of a lens, content on some.
     borders : float
         How far steps on straight lines midway between the lenses stand out from those between these
         lines, 1 for cells that touch each other without gaps.
@@ -98,7 +95,6 @@ class LatticeFigures:
     fine: float
     inverted: float
     explained: float
-    closed: float = 0.0
     overlap: float = 0.0
     parallax: float = 0.0
     still: float = 0.0

@@ -51,32 +51,27 @@ _BRIGHT_MIDDLE = _Ramp(0.0, 0.05)
 _CONTENT_INSIDE = _Ramp(0.5, 2.0)  # [ln] variance from lens to lens in the middle over that in gaps
 _ALTERNATING = _Ramp(0.08, 0.15)  # lens types differ by 0.07 at most, half a cell by 0.16 and more
 _ALTERNATING_BORDERS = _Ramp(0.15, 0.3)  # content leaves up to 0.15 where there are no gaps
-_ALTERNATING_CIRCLES = _Ramp(0.15, 0.25)
 _REPEATS = _Ramp(0.78, 0.88)  # gaps of real arrays 0.84 and more, content 0.77 at most
 # Marks found without the lattice: share of its points.
 _SOME_CIRCLES = _Ramp(0.02, 0.12)
 _MANY_CIRCLES = _Ramp(0.1, 0.4)
 _ALL_CIRCLES = _Ramp(0.0, 1.0)
+_FEW_CIRCLES = _Ramp(0.1, 0.25)
 _MOST_CIRCLES = _Ramp(0.5, 0.75)
 _RIMS = _Ramp(0.6, 0.9)  # simulated discs that touch have 0.98 and more
 _OVERLAP = _Ramp(0.3, 0.6)  # overlapping discs of white images have 0.65 and more
 # [local deviations] steps on outlines, and contrast of the lines between cells that touch.
 _SOME_OUTLINE = _Ramp(0.0, 0.1)  # dots of print have less than 0, discs 0.14 and more
-_OUTLINE = _Ramp(0.1, 0.6)
 _BORDERS = _Ramp(0.3, 0.6)
 _PLAIN_BORDERS = _Ramp(0.6, 0.85)  # ray-traced square lenses have 0.92 and more, content 0.5
-_CLOSED = _Ramp(0.1, 0.2)  # content has 0.09 at most
 # [ln] scatter of light inside cells and from cell to cell.
 _TEXTURED = _Ramp(-4.6, -3.7)
-_SOME_DETAIL = _Ramp(-4.8, -4.2)  # letters have -4.1, tiles of single tones -5.3
 _DETAILED = _Ramp(-3.5, -2.7)
 _UNLIKE_TONES = _Ramp(-3.4, -2.4)
 _UNLIKE_TONES_BORDERS = _Ramp(-3.2, -2.6)
-_UNEVEN = _Ramp(0.04, 0.12)  # share of lenses; white images have 0.01 at most, tiles 0.14 and more
 _DARK_GAPS = _Ramp(0.5, 1.2)  # [ln] light; black gaps of ray-traced scenes have 1.2 and more
-_BLACK_GAPS = _Ramp(1.0, 2.0)
-_TILE_TONES = _Ramp(-4.0, -2.5)
-_BEYOND_INSIDE = _Ramp(1.3, 2.0)  # an unfocused camera has 1.2, other arrays 0.9, tiles 2.0
+_TILE_TONES = _Ramp(-4.0, -2.8)
+_BEYOND_INSIDE = _Ramp(1.2, 1.7)  # an unfocused camera has 1.2, other arrays 0.9, tiles 1.7
 # [ln] gain of neighbours that are shifted against each other.
 _SOME_MATCH = _Ramp(0.2, 0.35)
 _MATCH = _Ramp(0.3, 1.0)
@@ -84,7 +79,6 @@ _STRONG_MATCH = _Ramp(0.8, 1.3)
 _TILES_MATCH = _Ramp(0.0, 0.5)
 _STILL = _Ramp(0.2, 0.5)
 _MOVED = _Ramp(0.0, 0.15)
-_MOVED_ON = _Ramp(0.1, 0.25)
 _GOES_ON = _Ramp(0.1, 0.3)
 _SIDES_MATCH = _Ramp(0.4, 0.8)
 # [pitch] difference of the lattices of two halves of the flat.
@@ -115,9 +109,7 @@ def proof_terms(figures: LatticeFigures) -> dict[str, float]:
         "proof": max(by_shape, by_content, proof_by_borders(figures)) * everywhere,
         "both_proofs": min(by_shape, by_content) * everywhere,
         "sound": edges(figures) * (1 - is_mesh(figures)),
-        "unmatched": max(
-            _unmatched_tones(figures), _unmatched_content(figures), _uneven_cells(figures)
-        ),
+        "unmatched": max(_unmatched_tones(figures), _unmatched_content(figures)),
     }
 
 
@@ -157,9 +149,9 @@ def _unmatched_tones(figures: LatticeFigures) -> float:
     Neighbours see a scene from places less than a pitch apart: it changes from lens to lens
     no more than inside lenses.
     """
-    differ = _ALL_CIRCLES(figures.circles) * _TILE_TONES(figures.between)
+    outlined = _ALL_CIRCLES(figures.circles) * (1 - _TILES_MATCH(figures.parallax))
     beyond = _BEYOND_INSIDE(figures.between - figures.inside - figures.detail / 2)
-    return differ * max(1 - _TILES_MATCH(figures.parallax), beyond)
+    return _TILE_TONES(figures.between) * max(outlined, beyond)
 
 
 def _unmatched_content(figures: LatticeFigures) -> float:
@@ -172,15 +164,6 @@ def _unmatched_content(figures: LatticeFigures) -> float:
     )
 
 
-def _uneven_cells(figures: LatticeFigures) -> float:
-    """How far evenly lit cells differ from their neighbours, as tiles do, 0 to 1.
-
-    Lenses of a white image do not, but spots on black may: those of a Shack-Hartmann sensor.
-    """
-    even = max(figures.white_probability, 1 - _SOME_DETAIL(figures.inside + figures.detail))
-    return even * _UNEVEN(figures.unlike) * (1 - _BLACK_GAPS(figures.light))
-
-
 def is_everywhere(figures: LatticeFigures) -> float:
     """How far what repeats is that of the array, 0 to 1.
 
@@ -191,7 +174,7 @@ def is_everywhere(figures: LatticeFigures) -> float:
     moved = figures.parallax - figures.still
     circles = _RIMS(figures.circles) * _ROUND(figures.roundness)
     circles *= _SOME_OUTLINE(figures.outline)
-    rims = max(_PLAIN_BORDERS(figures.borders), _CLOSED(figures.closed), circles)
+    rims = max(_PLAIN_BORDERS(figures.borders), circles)
     content = _STILL(figures.still) * (1 - _MOVED(moved)) * (1 - rims)
     return 1 - content * (1 - _REPEATS(figures.repeats))
 
@@ -205,9 +188,12 @@ def is_one_lens(figures: LatticeFigures) -> float:
 
 
 def is_mesh(figures: LatticeFigures) -> float:
-    """How far one picture goes on from cell to cell, 0 to 1."""
+    """How far one picture goes on from cell to cell, 0 to 1; round cells show it if they have detail
+    that does not match.
+    """
     behind = _GOES_ON(figures.continued - max(figures.parallax, figures.still, 0.0))
-    return behind * _is_angular_scene(figures)
+    textured = _TEXTURED(figures.inside) * (1 - _SOME_MATCH(figures.parallax))
+    return behind * max(_is_angular_scene(figures), textured)
 
 
 def _is_angular_scene(figures: LatticeFigures) -> float:
@@ -222,7 +208,7 @@ def proof_by_content(figures: LatticeFigures) -> float:
     an outline.
     """
     shape = _ROUGH_SHAPE(figures.shape) * _SOME_CIRCLES(figures.circles)
-    outlined = max(shape, _MANY_CIRCLES(figures.circles), _OUTLINE(figures.outline))
+    outlined = max(shape, _MANY_CIRCLES(figures.circles))
     symmetric = _HARDLY_ROUND(figures.roundness)
     match = _MATCH(figures.parallax) * (1 - _HALVES(figures.halves))
     # Facing sides of lenses show places far from each other, those of half tiles the same tile.
@@ -231,13 +217,16 @@ def proof_by_content(figures: LatticeFigures) -> float:
 
 
 def proof_by_circles(figures: LatticeFigures) -> float:
-    """How far circles prove lenses, 0 to 1: they lie on most points, and neighbours match, shifted
-    rather than still.
+    """How far circles prove lenses, 0 to 1: they lie on the points, and neighbours match, shifted.
+
+    Either on most points, or on some of them where the average cell has the shape of a lens.
     """
-    circles = _MOST_CIRCLES(figures.circles - max(figures.circles_beside, 0.0))
-    moved = _MOVED_ON(figures.parallax - figures.still)
-    match = _SOME_MATCH(figures.parallax) * moved * _shows_scene(figures)
-    return circles * match * edges(figures) * (1 - _ALTERNATING_CIRCLES(figures.classes))
+    circles = figures.circles - max(figures.circles_beside, 0.0)
+    shape = _LENS_SHAPE(figures.shape) * _REPEATS(figures.repeats) * is_one_lens(figures)
+    shape *= _SOME_OUTLINE(figures.outline) * (1 - _UNLIKE_TONES(figures.between))
+    circular = max(_MOST_CIRCLES(circles), _FEW_CIRCLES(circles) * shape)
+    match = _SOME_MATCH(figures.parallax) * _shows_scene(figures)
+    return circular * match * edges(figures)
 
 
 def proof_by_borders(figures: LatticeFigures) -> float:

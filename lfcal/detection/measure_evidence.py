@@ -59,7 +59,6 @@ def measure_evidence(
     # Bright gaps have peaks of their own; only lenses have round rims.
     rims_beside = counts[0][1] > max(counts[0][0], _RIMS_BESIDE)
     own, beside = counts[0] if rims_beside else max(counts)
-    outline, closed = _measure_outline(maps.steps, parts)
     return Evidence(
         repeats=maps.repeats,
         halves=_UNKNOWN_HALVES,
@@ -68,8 +67,7 @@ def measure_evidence(
             np.log((maps.light[middle].mean() + 1e-3) / (maps.light[border].mean() + 1e-3))
         ),
         content=float(np.log(content / content_beside)),
-        outline=outline,
-        closed=closed,
+        outline=_measure_outline(maps.steps, parts),
         circles=own,
         circles_beside=beside,
         fine=_fine_share(maps.brightness),
@@ -149,9 +147,9 @@ def _smooth(cell: Floats) -> Floats:
     return cell
 
 
-def _measure_outline(steps: Floats, parts: CellParts) -> tuple[float, float]:
+def _measure_outline(steps: Floats, parts: CellParts) -> float:
     """Steps on the strongest outline of a lens, round or along the border, less those in the
-    middle: their mean, and what nine tenths of the outline exceed.
+    middle.
     """
     bands = [
         (parts.distance >= low) & (parts.distance < low + _BAND)
@@ -161,9 +159,8 @@ def _measure_outline(steps: Floats, parts: CellParts) -> tuple[float, float]:
         (parts.to_border >= low) & (parts.to_border < low + _BAND)
         for low in np.arange(0.0, 0.4, _BAND)
     ]
-    outline = max((steps[band] for band in bands if band.any()), key=np.mean)
-    inner = float(steps[parts.middle].mean())
-    return float(outline.mean()) - inner, float(np.quantile(outline, 0.1)) - inner
+    outline = max(float(steps[band].mean()) for band in bands if band.any())
+    return outline - float(steps[parts.middle].mean())
 
 
 def _fine_share(cell: Floats) -> float:
