@@ -157,12 +157,10 @@ def _displacement(white: WhiteFit, places: NDArray[np.float64]) -> float:
     The first lattice is straight and goes through the middles of the visible microimages; those of
     cut ones lie off the centre by up to half of the cut.
     """
-    from .gain.gain_map import field_place
-
     lattice = white.lattice
     centres = lattice.points(np.rint(lattice.to_index(places)))
     eye = white.cat_eye
-    cut = np.zeros(places.shape) if eye is None else eye.displacement(field_place(centres, lattice))
+    cut = np.zeros(places.shape) if eye is None else eye.displacement(lattice.field_place(centres))
     middle = places - places.mean(0)
     base = np.linalg.qr(np.column_stack([np.ones(len(places)), middle / np.abs(middle).max()]))[0]
     distance = base.T @ (centres - places)

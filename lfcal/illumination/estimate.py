@@ -19,7 +19,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from ..gain.gain_map import GainMap, count_terms, field_monomials, field_place, nearest_half
+from ..gain.gain_map import GainMap, count_terms, nearest_half
 from ..lattice.cell import Cell
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops
@@ -186,7 +186,7 @@ def _fit_rim(
     terms = 1
     if sample.windows > 2 * count_terms(2) and not scene:
         terms = count_terms(2)
-    field = np.repeat(field_monomials(sample.middle, sample.lattice, terms), directions, axis=0)
+    field = np.repeat(sample.window_terms[:, :terms], directions, axis=0)
     old, rim = np.zeros((2, 1 + 2 * harmonics, terms))
     old[: len(gain.rim), : gain.rim.shape[1]] = gain.rim
     blocks = []
@@ -232,7 +232,7 @@ def _fit_cut(residuals: Residuals, gain: GainMap) -> Array:
             )
         ),
     )
-    field = field_place(sample.centres, sample.lattice)[sample.lens]
+    field = sample.field[sample.lens]
     cut = gain.cut
     offset = np.stack([sample.x, sample.y], axis=1) - cut[:2] - cut[2] * field
     far = np.hypot(*offset.T)
@@ -273,7 +273,7 @@ def _fit_shading(residuals: Residuals, gain: GainMap, rims: Booleans) -> Array:
     windows = sample.windows
     window = sample.window[sample.lens]
     terms = next((count_terms(d) for d in (3, 1) if windows > 2 * count_terms(d)), 1)
-    field = field_monomials(sample.middle, sample.lattice, terms)
+    field = sample.window_terms
     shading = np.zeros((5, terms))
     shading[:, : gain.shading.shape[1]] = gain.shading[:, :terms]
     cells = [(row, c) for row in range(5) for c in range(terms if row < 2 else min(6, terms))]

@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera.lens_types import LensTypes
-from ..gain.gain_map import GainMap
+from ..gain.gain_map import GainMap, fit_light
 from ..gain.kernel import relative_light
-from ..gain.light_polynomial import fit_light
 from ..lattice.cell import Cell, is_outside_cell
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import ReadCrop
@@ -158,7 +157,7 @@ def _measure(
     cell = Cell.of(lattice)
     out = np.zeros((len(_LensMeasurements._fields), len(centres)), np.float32)
     stride = max(1, round(math.sqrt(abs(np.linalg.det(lattice.basis)) / _PIXELS)))
-    lenses = gain.describe(centres, lattice)
+    lenses = gain.describe(lattice.field_place(centres))
     kinds = np.zeros(len(centres), np.int8)
     if gain.type_cell.size:
         kinds = LensTypes(gain.type_cell).of(lattice.indices())
@@ -211,8 +210,9 @@ def measure_lens_lights(picture: Singles | ReadCrop, lattice: Lattice, gain: Gai
         return LensLights(gain, 1.0, np.zeros(0, np.int64))
     whole = found.number > _WHOLE * np.median(found.number[few][seen[few]])
     used = np.flatnonzero(lit & whole)
-    level = fit_light(light[used], centres[used], lattice)
-    smooth = replace(gain, level=level).light(centres, lattice).astype(np.float32)
+    field = lattice.field_place(centres)
+    level = fit_light(light[used], field[used])
+    smooth = replace(gain, level=level).light(field).astype(np.float32)
     # Far from all light a polynomial can be close to 0; squares of the ratio stay finite.
     np.maximum(smooth, np.float32(1e-9) * np.max(light), out=smooth)
     ratio = light / smooth

@@ -101,10 +101,10 @@ def measure_illumination(
 def _average(gain: GainMap, lattice: Lattice) -> tuple[Vignetting, float]:
     """Vignetting of the average microimage, and its usable radius."""
     some = lattice.indices()[evenly(len(lattice), _LENSES)]
-    centres = np.ascontiguousarray(lattice.points(some))
+    field = lattice.field_place(lattice.points(some))
     limit = nearest_half(lattice)
     rings = int(limit / gain.step) + 2
-    relative = gain.sample(gain.describe(centres, lattice), rings).mean((0, 1))
+    relative = gain.sample(gain.describe(field), rings).mean((0, 1))
     if not relative.max() > 0:
         raise CalibrationError("no light is left in the average microimage; give a white image")
     relative = np.clip(relative / relative.max(), 0, 1)

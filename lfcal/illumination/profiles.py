@@ -113,7 +113,7 @@ def fit_scene_profile(found: ProfilePixels, gain: GainMap) -> Floats:
 
     Where the scene is too dark, the profile of `gain` is returned.
     """
-    types = np.zeros(len(found.sample.centres), np.int8)
+    types = np.zeros(len(found.sample.field), np.int8)
     light, weight, _ = found.sum_windows(gain, types, CORES[0] * gain.radius)
     if not len(light):
         return gain.profile
@@ -136,7 +136,7 @@ def fit_type_profiles(
     `radius` [px] is the usable one; on a white image the light of each lens is in the map.
     """
     sample = found.sample
-    kinds = types.of(np.rint(sample.lattice.to_index(sample.centres)).astype(np.int64))
+    kinds = types.of(sample.indices)
     light, weight, level = found.sum_windows(gain, kinds, 0.5 * radius)
     if level.shape[1] != types.count or len(level) < 4:
         return gain

@@ -14,11 +14,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..gain.gain_map import GainMap
+from ..gain.gain_map import GainMap, count_terms, field_monomials
 from ..images.stack import CLIPPED_LIGHT
 from ..lattice.cell import Cell
 from ..lattice.lattice import Lattice
-from ..lattice.lens_subset import StackedCrops, sample_lenses, sample_mask
+from ..lattice.lens_subset import StackedCrops, sample_mask
 from ..runtime.arrays import Array, Integers, Singles
 
 __all__ = [
@@ -37,6 +37,8 @@ _PIXELS_OF_LENS = 700
 _FEWEST_LENSES = 200
 # Windows of the field each way, if six lenses fall into each.
 _WINDOWS = np.array([8, 6])
+# Terms of third order in the field.
+_WINDOW_TERMS = count_terms(3)
 #: [radius] Disc in the middle in which the light of a lens is measured, on scenes and white images.
 CORES = (0.6, 0.5)
 # Least light of a plane over that in the middle, and light through the cutting disc behind it.
@@ -51,9 +53,10 @@ CLIPPED_PIXELS = 20
 class Sample(NamedTuple):
     """Pixels (p,) of lenses (n,)."""
 
-    lattice: Lattice
-    centres: Array  # (n, 2) [px]
+    indices: Integers  # (n, 2) of the lattice
+    field: Array  # (n, 2) places of the lenses in the field
     window: Integers  # (n,) of the field that each lens lies in
+    window_terms: Array  # (windows, 10) `field_monomials` of the mean place of its lenses
     lens: Integers  # (p,) which a pixel belongs to
     x: Array  # (p,) [px] from its centre
     y: Array  # (p,) [px]
@@ -62,19 +65,12 @@ class Sample(NamedTuple):
     @property
     def windows(self) -> int:
         """Number of windows."""
-        return int(self.window.max()) + 1
-
-    @property
-    def middle(self) -> Array:
-        """(windows, 2) mean centre [px] of the lenses of each window, of which each has some."""
-        count = np.bincount(self.window)
-        return np.stack(
-            [np.bincount(self.window, self.centres[:, axis]) / count for axis in (0, 1)], axis=1
-        )
+        return len(self.window_terms)
 
     def evaluate(self, gain: GainMap) -> Array:
         """(3, p) relative light of each pixel, distance on the profile [px], share not cut off."""
-        return gain.evaluate(gain.describe(self.centres, self.lattice), self.lens, self.x, self.y)
+        lenses = gain.describe(self.field)
+        return gain.evaluate(lenses, self.lens, self.x, self.y)
 
     def select(self, pixels: Integers) -> Sample:
         """Some of the pixels."""
@@ -84,7 +80,7 @@ class Sample(NamedTuple):
 
     def add(self, values: Array) -> Array:
         """(n,) sums over the pixels of each lens."""
-        return np.bincount(self.lens, values, len(self.centres))
+        return np.bincount(self.lens, values, len(self.field))
 
 
 def draw_sample(
@@ -101,16 +97,16 @@ def draw_sample(
     stride = max(1, int(math.sqrt(area / _PIXELS_OF_LENS)))
     margin = cell.circumradius + 1
     wanted = max(pixels * stride**2 / area, _FEWEST_LENSES)
-    if crops.size == lattice.image_size:
-        places = centres = sample_lenses(lattice, margin, wanted)[1]
-    else:
-        _, centres, crop = crops.lenses(lattice, margin)
-        chosen = sample_mask(len(centres), wanted / max(len(centres), 1))
-        centres, places = centres[chosen], (centres - crops.offsets[crop])[chosen]
+    indices, centres, crop = crops.lenses(lattice, margin)
+    chosen = sample_mask(len(centres), wanted / max(len(centres), 1))
+    centres = centres[chosen]
+    places = centres - crops.offsets[crop[chosen]]
     shrink = min(1.0, math.sqrt(len(centres) / (6 * _WINDOWS.prod())))
     shape = np.maximum(1, _WINDOWS * shrink).astype(int)
     column, row = np.minimum((centres + 0.5) / lattice.image_size * shape, shape - 1).astype(int).T
     window = np.unique(row * shape[0] + column, return_inverse=True)[1].ravel()
+    count = np.bincount(window)
+    middle = np.column_stack([np.bincount(window, way) / count for way in centres.T])
     # Other pixels are left out in each lens.
     rows = stride * (1 + scene)
     number = np.arange(len(places))
@@ -128,7 +124,10 @@ def draw_sample(
         inside &= (across * dx)[:, None, :] + (down * dy)[:, :, None] <= 0.5
     lens, row, column = np.nonzero(inside)
     value = crops.picture[y[lens, row], x[lens, column]].astype(np.float64) ** 2
-    return Sample(lattice, centres, window, lens, dx[lens, column], dy[lens, row], value)
+    field = lattice.field_place(centres)
+    terms = field_monomials(lattice.field_place(middle), _WINDOW_TERMS)
+    pixels_of = (lens, dx[lens, column], dy[lens, row], value)
+    return Sample(indices[chosen], field, window, terms, *pixels_of)
 
 
 class Residuals(NamedTuple):

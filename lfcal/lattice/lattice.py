@@ -160,6 +160,11 @@ class Lattice(Frozen):
         return float(np.linalg.norm(self.steps @ self.basis, axis=1).mean())
 
     @property
+    def reach(self) -> float:
+        """Half the diagonal of the flat [px]."""
+        return float(np.hypot(*self.image_size) / 2)
+
+    @property
     def middle(self) -> Integers:
         """(2,) index of the lens nearest to the middle of the flat."""
         middle = (np.array(self.image_size) - 1) / 2
@@ -249,6 +254,10 @@ class Lattice(Frozen):
             column += index[..., 1] * self.basis[1, axis]
             np.add(column, self.origin[axis], out=straight[..., axis])
         return straight if self.distortion is None else self.distortion.apply(straight)
+
+    def field_place(self, points: Floats) -> Floats:
+        """(n, 2) flat positions [px] from the middle of the flat, in half diagonals."""
+        return np.asarray((points - (np.array(self.image_size) - 1) / 2) / self.reach)
 
     def derivatives(self, index: Array, orders: Collection[str]) -> tuple[list[str], Floats]:
         """Names of origin, basis and the parameters `orders` of the distortion; derivatives (n, 2,

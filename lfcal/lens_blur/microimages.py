@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from ..camera.calibration import Calibration
-from ..gain.gain_map import field_place, nearest_half
+from ..gain.gain_map import nearest_half
 from ..images.mosaic import equalise_mosaic
 from ..images.preprocessing import luminance
 from ..lattice.cell import Cell
@@ -404,7 +404,7 @@ def _average(
     filled, key, number = np.unique(key, return_inverse=True, return_counts=True)
     measured = (value[inside], *offset[inside].T)
     mean, *places = (np.bincount(key.ravel(), values) / number for values in measured)
-    place = field_place(centres.mean(0)[None], camera.lattice)[0]
+    place = camera.lattice.field_place(centres.mean(0)[None])[0]
     return _Tile(
         place,
         typical,

@@ -137,7 +137,7 @@ def converge(lattice: Lattice, lenses: Microimages, orders: tuple[str, ...]) -> 
         lattice = _moved(lattice, step)
         if not np.abs(lattice.basis @ np.linalg.inv(start) - np.eye(2)).max() < _LARGEST_CHANGE:
             raise CalibrationError(_NO_LATTICE)
-        lenses = lenses.at(lattice).learn(sums, step.jacobian @ step.change, lattice)
+        lenses = lenses.learn(sums, step.jacobian @ step.change, lattice)
         if step.shift_rms < _CONVERGED * step.uncertainty:
             break
     return Fit(lattice, orders, lenses, step)
@@ -336,7 +336,7 @@ def _find_cut(tones: StackedCrops, plain: Fit, bent: Fit) -> TwoDiscs | None:
 
     `plain` has no distortion that is not known, `bent` has one if it is significant, of any kind.
     """
-    narrowing, error = measure_narrowing(bent.lenses, bent.lattice)
+    narrowing, error = measure_narrowing(bent.lenses)
     # A cut by one pixel narrows microimages by 0.2 px.
     if narrowing < max(_NEGLIGIBLE, SIGNIFICANT * error):
         return None

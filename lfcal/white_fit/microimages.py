@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from ..gain.light_polynomial import fit_light_slope
+from ..gain.gain_map import fit_light_slope
 from ..images.stack import clipping_level
 from ..lattice.cell import Cell
 from ..lattice.lattice import Lattice
@@ -53,6 +53,8 @@ class Microimages:
     light: Singles  # (n, k, k) squares of the flat around the lenses
     corners: Integers  # (n, 2) [px] flat coordinates of the first pixel of each
     centres: Floats  # (n, 2) [px]
+    field: Floats  # (n, 2) places of the centres in the field
+    reach: float  # [px] unit of `field`
     gain: Floats  # (n,) light of each lens over that of the profile
     slope: Floats  # (n, 2) [1/px] relative change of the gain within the microimage
     shade: Floats  # (n, 2) [1/px] slope of the gain without the light of the neighbours
@@ -103,7 +105,8 @@ class Microimages:
 
     def at(self, lattice: Lattice) -> Microimages:
         """The same with the centres of a lattice."""
-        return replace(self, centres=lattice.points(self.indices))
+        centres = lattice.points(self.indices)
+        return replace(self, centres=centres, field=lattice.field_place(centres))
 
     def thin(self, pixels: float) -> Microimages:
         """An even part of the lenses, with at most so many pixels in their windows."""
@@ -111,7 +114,7 @@ class Microimages:
 
     def select(self, rows: slice | Integers) -> Microimages:
         """Some of the lenses."""
-        of_lenses = ("indices", "light", "corners", "centres", "gain", "slope", "shade")
+        of_lenses = ("indices", "light", "corners", "centres", "field", "gain", "slope", "shade")
         return replace(self, **{name: getattr(self, name)[rows] for name in of_lenses})
 
     def places(self) -> tuple[Floats, Floats]:
@@ -142,14 +145,15 @@ class Microimages:
     def learn(self, sums: Sums, moved: Floats, lattice: Lattice) -> Microimages:
         """Gains, profile, weights and slopes that fit the pixels better.
 
-        They are updated after each step of the centres.
-
-        `sums` are those about this model, `moved` (n, 2) [px] is the step of the centres.
+        `sums` are those about this model, `moved` (n, 2) [px] is the step of the centres to those
+        of `lattice`.
         """
         explained = (sums.normal[:, :2, 2] * moved).sum(1)
         gain = (sums.right[:, 2] - explained) / np.maximum(sums.normal[:, 2, 2], 1e-30)
         lenses = replace(self, gain=self.gain * (1 + np.clip(gain, -0.5, 1))).learn_profile(sums)
-        lenses = replace(lenses, slope=fit_light_slope(lenses.gain, lenses.centres, lattice))
+        lenses = lenses.at(lattice)
+        slope = fit_light_slope(lenses.gain, lenses.field, lenses.reach)
+        lenses = replace(lenses, slope=slope)
         return replace(lenses, shade=lenses.measure_shade(lattice))
 
     def learn_profile(self, sums: Sums) -> Microimages:
@@ -251,7 +255,8 @@ def cut_out(
     gain = gain[bright]
     light = light[bright]
     corners = (corners + offset)[bright]
-    slope = fit_light_slope(gain, centres, lattice)
+    field = lattice.field_place(centres)
+    slope = fit_light_slope(gain, field, lattice.reach)
     rings = int(cell.circumradius / _RING_STEP) + 3
     saturation = clipping_level(light) if known is None else known.saturation
     lenses = Microimages(
@@ -259,6 +264,8 @@ def cut_out(
         light,
         corners,
         centres,
+        field,
+        lattice.reach,
         gain,
         slope,
         np.zeros_like(slope),

@@ -17,8 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from ..gain.gain_map import field_place
-from ..gain.light_polynomial import fit_light_slope
+from ..gain.gain_map import fit_light_slope
 from ..lattice.distortion import Distortion
 from ..lattice.lattice import Lattice
 from ..lattice.robust_fit import SIGNIFICANT, TUKEY_CUTOFF, biweight, robust_sigma
@@ -219,7 +218,7 @@ class TwoDiscs:
             pixels = _choose_pixels(lenses, slope, self.lattice, lenses.light.size)
             residual, _, gain = pixels.compare(self.parameters, np.ones(len(pixels.light)))
             gains = lenses.gain * np.maximum(gain, _LEAST_GAIN)
-            slope = fit_light_slope(gains, lenses.centres, self.lattice)
+            slope = fit_light_slope(gains, lenses.field, lenses.reach)
         return residual * max(float(lenses.profile[0]), 1e-9)
 
     def _names(self) -> tuple[str, ...]:
@@ -249,7 +248,7 @@ class TwoDiscs:
 def _lattice_of(lattice: Lattice, p: Floats) -> Lattice:
     """The lattice of the first of two discs, displaced from a lattice by the parameters."""
     middle = (np.array(lattice.image_size) - 1) / 2
-    reach = float(np.hypot(*lattice.image_size) / 2)
+    reach = lattice.reach
     bend = lattice.distortion
     own = p[GROWTH][0]
     if p[BEND]:
@@ -288,7 +287,7 @@ def fit_two_discs(lenses: Microimages, lattice: Lattice) -> TwoDiscs | None:
             # The gains of cut microimages had been fitted without a cut, and the slope of the light
             # with them.
             gains = lenses.gain[pixels.rows] * np.maximum(gain, _LEAST_GAIN)
-            slope[pixels.rows] = fit_light_slope(gains, lenses.centres[pixels.rows], lattice)
+            slope[pixels.rows] = fit_light_slope(gains, lenses.field[pixels.rows], lenses.reach)
         if lattice.distortion is None and abs(p[BEND]) < max(
             _LEAST_BEND, SIGNIFICANT * errors[BEND]
         ):
@@ -347,7 +346,6 @@ def _choose_pixels(
     If the discs are `known`, most of the pixels are near their edges.
     """
     rng = np.random.default_rng(0)
-    field = field_place(lenses.centres, lattice)
     # Most of those beside the edges are left out in the end.
     drawn = np.flatnonzero(
         rng.random(lenses.light.size) < (3 if known is None else 10) * number / lenses.light.size
@@ -364,7 +362,9 @@ def _choose_pixels(
         depth = [
             known[RADIUS][k]
             - np.hypot(
-                *(place - known[OFFSET][2 * k : 2 * k + 2] - known[GROWTH][k] * field[lens]).T
+                *(
+                    place - known[OFFSET][2 * k : 2 * k + 2] - known[GROWTH][k] * lenses.field[lens]
+                ).T
             )
             for k in (0, 1)
         ]
@@ -378,11 +378,10 @@ def _choose_pixels(
     light /= (
         lenses.gain[lens] * (1 + (slope[lens] * place).sum(1)) * max(float(lenses.profile[0]), 1e-9)
     )
-    reach = float(np.hypot(*lattice.image_size) / 2)
     rows, lens = np.unique(lens, return_inverse=True)
-    return _Pixels(
-        rows, place, lens, light, field[rows], _STEPS @ lattice.basis, lenses.radius, reach
-    )
+    field = lenses.field[rows]
+    steps = _STEPS @ lattice.basis
+    return _Pixels(rows, place, lens, light, field, steps, lenses.radius, lenses.reach)
 
 
 def _prior(p: Floats, expected: Floats, spread: Floats) -> tuple[Floats, Floats]:

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..gain.gain_map import field_place
 from ..lattice.lattice import Lattice
 from ..lattice.robust_fit import SIGNIFICANT
 from ..runtime.arrays import ENOUGH_PIXELS, Booleans, Floats, evenly
@@ -28,7 +27,7 @@ _STEEP = 0.1
 class CatEye:
     """Disc that cuts the microimages, at `shift + growth * field` from their centres.
 
-    `field` is that of `field_place`.
+    `field` is that of `Lattice.field_place`.
     """
 
     shift: Floats  # (2,) [px] offset in the middle of the flat
@@ -69,7 +68,7 @@ def compare_pixels(lenses: Microimages) -> tuple[Floats, Booleans, Floats]:
     )
 
 
-def measure_narrowing(lenses: Microimages, lattice: Lattice) -> tuple[float, float]:
+def measure_narrowing(lenses: Microimages) -> tuple[float, float]:
     """By how much microimages in the corners are narrower along the field than across [px].
 
     Also returns the error.
@@ -84,9 +83,9 @@ def measure_narrowing(lenses: Microimages, lattice: Lattice) -> tuple[float, flo
     residual, inside, (slope, weight) = compare_pixels(few)
     used = inside & (far < few.cell.inradius) & (residual**2 * weight < SIGNIFICANT**2)
     used &= np.abs(slope) > _STEEP * np.abs(few.rings.table[:, 1]).max()
-    field = field_place(few.centres, lattice)
-    reach = np.maximum(np.hypot(*field.T), 1e-6)[:, None, None]
-    along = (field[:, 0, None, None] * x + field[:, 1, None, None] * y) / (reach * far)
+    field = few.field[:, :, None, None]
+    reach = np.maximum(np.hypot(field[:, 0], field[:, 1]), 1e-6)
+    along = (field[:, 0] * x + field[:, 1] * y) / (reach * far)
     response = slope * reach * (2 * along**2 - 1)
     information = float((used * weight * response**2).sum())
     if information <= 0:
@@ -102,8 +101,7 @@ def measure_centroid_offset(lenses: Microimages, lattice: Lattice) -> float:
     What grows with the field is left out: a disc that cuts microimages moves their centroids.
     """
     moved = lenses.at(lattice)
-    field = field_place(moved.centres, lattice)
-    near = np.flatnonzero(np.hypot(*field.T) < 0.25)
+    near = np.flatnonzero(np.hypot(*moved.field.T) < 0.25)
     near = near[evenly(len(near), _LENSES)]
     if len(near) < 12:
         return 0.0
@@ -111,7 +109,7 @@ def measure_centroid_offset(lenses: Microimages, lattice: Lattice) -> float:
     x = x[near]
     y = y[near]
     light = moved.light[near]
-    field = field[near]
+    field = moved.field[near]
     window = np.clip(moved.cell.inradius + 0.5 - np.hypot(x, y), 0, 1)
     light = window * np.clip(light - np.quantile(light, 0.05, axis=(1, 2))[:, None, None], 0, None)
     total = np.maximum(light.sum((1, 2)), 1e-30)
