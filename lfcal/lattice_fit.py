@@ -4,53 +4,31 @@ microimages of scenes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .lattice.lattice import Lattice
-from .lattice.lens_subset import select_whole_lenses
 from .lattice.robust_fit import LatticeFit, field_rms, fit_affine
-from .lattice.standard_errors import LatticeErrors, Residuals, equal_weight_errors
+from .lattice.standard_errors import equal_weight_errors
 from .runtime.errors import CalibrationError
 
 if TYPE_CHECKING:
     from .detection.search import Candidate
     from .lattice.lens_subset import StackedCrops
-    from .white_fit.fit import WhiteFit
-    from .white_fit.vignetting import CatEye
 
-__all__ = ["FEWEST_PIXELS", "FinalLattice", "fit_lattice_to_scenes", "fit_lattice_to_white_image"]
+__all__ = ["fit_lattice_to_scenes", "fit_lattice_to_white_image"]
 
-#: [px] in a lens from which on its light is measured well enough to compare, and its edge can be
-#: fitted.
-FEWEST_PIXELS = 20.0
-
-
-@dataclass(frozen=True)
-class FinalLattice:
-    """The lattice and how its microimages agree with it."""
-
-    lattice: Lattice
-    residual_rms: float  # [px] robust RMS distance of single microimages from the lattice
-    lenses_used: int
-    # [px] RMS distance over the flat of the lattices of two halves of the microimages
-    half_difference: float
-    errors: LatticeErrors | None = None  # None where the lattice is the first one
-    # Disc that cuts microimages (mechanical vignetting), where there is one.
-    cat_eye: CatEye | None = None
-    residuals: Residuals | None = None  # of single microimages, in white images
-    # [px] RMS distance from the first lattice, less that due to distortion and cut microimages
-    displacement: float = 0.0
-    # Reason why the centres may be others, as those of the disc that cuts the microimages.
-    doubt: str | None = None
+# [px] in a lens from which on its light is measured well enough to compare, and its edge can be
+# fitted.
+_FEWEST_PIXELS = 20.0
 
 
 def fit_lattice_to_white_image(
     picture: NDArray[np.float32] | StackedCrops, start: Candidate
-) -> FinalLattice:
+) -> LatticeFit:
     """Fit a white image (h, w), as made by `sqrt_luminance`, or crops of it; keep `start` where the
     fit runs away.
     """
@@ -59,8 +37,8 @@ def fit_lattice_to_white_image(
     from .white_fit.fit import fit_white
 
     found = start.lattice
-    if isinstance(picture, np.ndarray) and _count_lit_pixels(picture, found) < FEWEST_PIXELS:
-        return _final(_fit_spots(picture, found), found)
+    if isinstance(picture, np.ndarray) and _count_lit_pixels(picture, found) < _FEWEST_PIXELS:
+        return _fit_spots(picture, found)
     try:
         white = fit_white(
             soften_mask(picture) if isinstance(picture, np.ndarray) else picture, found
@@ -83,18 +61,8 @@ def fit_lattice_to_white_image(
     distance = near.points(np.rint(near.to_index(places))) - places
     # A fit that has run away.
     if not np.sqrt((distance**2).sum(1).mean()) < 0.2 * found.pitch:
-        return FinalLattice(found, white.residual_rms, white.lenses_used, start.half_difference)
-    return FinalLattice(
-        white.lattice,
-        white.residual_rms,
-        white.lenses_used,
-        white.half_difference,
-        white.errors,
-        white.cat_eye,
-        white.residuals,
-        _displacement(white, places),
-        white.doubt,
-    )
+        return LatticeFit(found, white.residual_rms, white.lenses_used, start.half_difference)
+    return replace(white, displacement=_displacement(white, places))
 
 
 def _count_lit_pixels(picture: NDArray[np.float32], lattice: Lattice) -> float:
@@ -120,7 +88,7 @@ def _fit_spots(picture: NDArray[np.float32], start: Lattice) -> LatticeFit:
     x = x[inside]
     y = y[inside]
     for _ in range(3):
-        indices, centres = select_whole_lenses(lattice, reach + 1)
+        indices, centres = lattice.select_whole(reach + 1)
         corner = np.rint(centres).astype(np.int64)
         light = picture[corner[:, 1, None] + y, corner[:, 0, None] + x].astype(np.float64) ** 2
         light -= np.median(light, axis=1, keepdims=True)
@@ -148,19 +116,20 @@ def _fit_spots(picture: NDArray[np.float32], start: Lattice) -> LatticeFit:
     # Three parameters of each coordinate, from so many lenses.
     uncertainty = scatter * np.sqrt(3 / used)
     differ = field_rms(design, first - second)
-    return LatticeFit(lattice.origin, lattice.basis, scatter, uncertainty, used, differ)
+    return LatticeFit(lattice, scatter, used, differ, equal_weight_errors(lattice, uncertainty))
 
 
-def _displacement(white: WhiteFit, places: NDArray[np.float64]) -> float:
-    """`FinalLattice.displacement` of a fit at `places` (n, 2) [px], centres on the first lattice.
+def _displacement(white: LatticeFit, places: NDArray[np.float64]) -> float:
+    """`LatticeFit.displacement` of a fit at `places` (n, 2) [px], centres on the first lattice.
 
     The first lattice is straight and goes through the middles of the visible microimages; those of
     cut ones lie off the centre by up to half of the cut.
     """
     lattice = white.lattice
     centres = lattice.points(np.rint(lattice.to_index(places)))
-    eye = white.cat_eye
-    cut = np.zeros(places.shape) if eye is None else eye.displacement(lattice.field_place(centres))
+    cut = np.zeros(places.shape)
+    if white.cut is not None:
+        cut = white.cut[:2] + white.cut[2] * lattice.field_place(centres)
     middle = places - places.mean(0)
     base = np.linalg.qr(np.column_stack([np.ones(len(places)), middle / np.abs(middle).max()]))[0]
     distance = base.T @ (centres - places)
@@ -172,7 +141,7 @@ def _displacement(white: WhiteFit, places: NDArray[np.float64]) -> float:
 
 def fit_lattice_to_scenes(
     lights: list[NDArray[np.float32]], picture: NDArray[np.float32], start: Candidate
-) -> FinalLattice:
+) -> LatticeFit:
     """Fit one or several scenes of luminance `lights` (h, w); `picture` is the root of their mean.
 
     Only the edges at the rims are those of the lattice: brightness also shows the scene, gaps of
@@ -194,11 +163,5 @@ def fit_lattice_to_scenes(
     fit = fit_scene(rims, found)
     if fit.residual_rms > 0.02 * found.pitch and not fit.half_difference < start.half_difference:
         # Single lenses scatter too much: averages of whole tiles are the better measure.
-        return FinalLattice(found, fit.residual_rms, fit.lenses_used, start.half_difference)
-    return _final(fit, found)
-
-
-def _final(fit: LatticeFit, start: Lattice) -> FinalLattice:
-    lattice = Lattice(fit.origin, fit.basis, start.image_size, start.radius, fit.distortion)
-    errors = equal_weight_errors(lattice, fit.uncertainty)
-    return FinalLattice(lattice, fit.residual_rms, fit.lenses_used, fit.half_difference, errors)
+        return LatticeFit(found, fit.residual_rms, fit.lenses_used, start.half_difference)
+    return fit

@@ -17,8 +17,9 @@ from .images.mosaic import equalise_mosaic, remove_mosaic
 from .images.preprocessing import luminance, sqrt_luminance
 from .images.stack import average_scenes, combine_whites, select_contrasted
 from .lattice.lens_subset import ReadCrop, StackedCrops
+from .lattice.robust_fit import LatticeFit
 from .lattice.stated import LatticeHint
-from .lattice_fit import FinalLattice, fit_lattice_to_scenes, fit_lattice_to_white_image
+from .lattice_fit import fit_lattice_to_scenes, fit_lattice_to_white_image
 from .runtime.errors import RAW_FLAT_ADVICE, CalibrationError
 
 __all__ = ["FittedLattice", "find_lattice", "find_lattice_in_crops", "find_lattice_in_piece"]
@@ -36,7 +37,7 @@ class FittedLattice:
     # (h, w) root of the luminance, or crops of a white image
     picture: NDArray[np.float32] | StackedCrops
     white: bool  # the flat is a white image
-    fit: FinalLattice
+    fit: LatticeFit
     evidence: Evidence
     read_crop: ReadCrop | None = None  # reads any part of the flat, where `picture` are crops
 
@@ -51,7 +52,7 @@ class FittedLattice:
         picture: NDArray[np.float32] | StackedCrops,
         white: bool,
         start: Candidate,
-        fit: FinalLattice,
+        fit: LatticeFit,
         read_crop: ReadCrop | None = None,
     ) -> FittedLattice:
         """The fit that began at a candidate, with the agreement of its own halves."""

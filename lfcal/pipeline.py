@@ -205,7 +205,7 @@ def _measure(found: FittedLattice) -> Calibration:
         picture,
         fit.lattice,
         white,
-        fit.cat_eye,
+        fit.cut,
         found.read_crop,
         lambda lattice: find_lens_types(picture, lattice, white),
     )

@@ -25,7 +25,6 @@ from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops
 from ..lattice.robust_fit import TUKEY_CUTOFF
 from ..runtime.arrays import Array, Booleans, Floats, Singles
-from ..white_fit.vignetting import CatEye
 from .profiles import FEW_PIXELS
 from .residuals import Residuals, collect_residuals, draw_sample
 
@@ -55,19 +54,18 @@ _SHADED = (0.7, 0.95)
 
 
 def estimate_gain(
-    picture: Singles | StackedCrops, lattice: Lattice, scene: bool, cat_eye: CatEye | None = None
+    picture: Singles | StackedCrops, lattice: Lattice, scene: bool, cut: Floats | None = None
 ) -> GainMap:
     """Estimate the shape of the microimages of a flat, without the light of single lenses.
 
     On a scene, the profile is that of single lenses: `fit_scene_profile` corrects it.
 
-    `picture` (h, w), or crops of a white image, is the square root of the luminance; `cat_eye` the
+    `picture` (h, w), or crops of a white image, is the square root of the luminance; `cut` the
     cutting disc if known.
     """
     sample = draw_sample(lattice, picture, _PIXELS, scene)
     rings = int(Cell.of(lattice).circumradius / _STEP) + 3
-    cut = () if cat_eye is None else (*cat_eye.shift, cat_eye.growth, cat_eye.radius, cat_eye.blur)
-    gain = GainMap.round(np.ones(rings), _STEP, nearest_half(lattice), cut)
+    gain = GainMap.round(np.ones(rings), _STEP, nearest_half(lattice), () if cut is None else cut)
     largest = np.full(rings, np.inf)
     # The profile alone has to be about right before the rest is fitted.
     for terms in (False, False, True, True):

@@ -11,9 +11,8 @@ from ..camera.lens_types import LensTypes
 from ..gain.gain_map import Defects, GainMap, Vignetting, nearest_half
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import ReadCrop, StackedCrops
-from ..runtime.arrays import Singles, evenly
+from ..runtime.arrays import Floats, Singles, evenly
 from ..runtime.errors import CalibrationError
-from ..white_fit.vignetting import CatEye
 from .defect_search import find_defects
 from .estimate import estimate_gain
 from .lens_light import find_unlit_in_scene, measure_lens_lights
@@ -51,7 +50,7 @@ def measure_illumination(
     picture: Singles | StackedCrops,
     lattice: Lattice,
     white: bool,
-    cat_eye: CatEye | None = None,
+    cut: Floats | None = None,
     read_crop: ReadCrop | None = None,
     find_types: Callable[[Lattice], LensTypes | None] | None = None,
 ) -> Illumination:
@@ -59,11 +58,11 @@ def measure_illumination(
 
     `picture` (h, w), or crops of a white image, is the square root of the luminance. From a scene
     follow only the common shape of its microimages, and of defects only unlit lenses with lit
-    neighbours. `cat_eye` is the disc that cuts microimages, if known; `read_crop` reads further
+    neighbours. `cut` is the disc that cuts microimages, if known, as `GainMap.cut`; `read_crop` reads further
     crops, of which only unlit lenses are found. `find_types` finds the types of the lenses of a
     lattice with a usable radius.
     """
-    gain = estimate_gain(picture, lattice, not white, cat_eye)
+    gain = estimate_gain(picture, lattice, not white, cut)
     pixels = None
     if not white:
         pixels = ProfilePixels.draw(picture, lattice, gain, True)

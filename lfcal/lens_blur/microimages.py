@@ -21,7 +21,6 @@ from ..gain.gain_map import nearest_half
 from ..images.mosaic import equalise_mosaic
 from ..images.preprocessing import luminance
 from ..lattice.cell import Cell
-from ..lattice.lens_subset import select_whole_lenses
 from ..lattice.robust_fit import MAD_TO_SIGMA
 from ..runtime.arrays import evenly
 
@@ -334,7 +333,7 @@ def _average_tiles(
     lattice = camera.lattice
     types = camera.lens_types
     cell = Cell.of(lattice)
-    indices, centres = select_whole_lenses(lattice, cell.circumradius + 2)
+    indices, centres = lattice.select_whole(cell.circumradius + 2)
     kinds = (
         np.zeros(len(indices), np.int64) if types is None else types.of(indices).astype(np.int64)
     )

@@ -16,8 +16,9 @@ import numpy as np
 from ..lattice.cell import Cell
 from ..lattice.distortion import Distortion
 from ..lattice.lattice import Lattice
-from ..lattice.lens_subset import sample_mask, select_whole_lenses
+from ..lattice.lens_subset import sample_mask
 from ..lattice.robust_fit import LatticeFit, field_rms
+from ..lattice.standard_errors import equal_weight_errors
 from ..runtime.arrays import Booleans, Floats, Integers, Singles
 from ..runtime.errors import CalibrationError
 from .irls import LensShifts, error_inflation, find_regular_ratio, solve_irls
@@ -89,9 +90,7 @@ def _summarise(fit: _Converged) -> LatticeFit:
     # what is left to go.
     error = float(np.hypot(max(error, differ / 2), fit.remaining))
     used = int((weight > 0).sum())
-    return LatticeFit(
-        lattice.origin, lattice.basis, scatter, error, used, differ, lattice.distortion
-    )
+    return LatticeFit(lattice, scatter, used, differ, equal_weight_errors(lattice, error))
 
 
 @dataclass(frozen=True)
@@ -182,7 +181,8 @@ class _Fitter:
             weights = np.zeros(len(self.indices))
             weights[shown] = weight
             from_here = lattice
-            lattice = move_lattice(lattice, change if settled or turn == passes - 1 else leap)
+            last = settled or turn == passes - 1
+            lattice = lattice.moved((change if last else leap).ravel())
             if not np.abs(lattice.basis @ np.linalg.inv(start) - np.eye(2)).max() < 0.05:
                 raise CalibrationError(_NO_LATTICE)
             if settled:
@@ -234,14 +234,9 @@ class Acceleration:
         return (further * min(1.0, 10 * plain / max(length, 1e-300))).reshape(3, 2)
 
 
-def move_lattice(lattice: Lattice, change: Floats) -> Lattice:
-    """The lattice after a change (3, 2) of origin and basis."""
-    return replace(lattice, origin=lattice.origin + change[0], basis=lattice.basis + change[1:])
-
-
 def select_lenses(lattice: Lattice, most: int) -> Integers:
     """Indices of about `most` whole lenses, evenly spread."""
-    indices, _ = select_whole_lenses(lattice, Cell.of(lattice).circumradius + 1)
+    indices, _ = lattice.select_whole(Cell.of(lattice).circumradius + 1)
     indices = indices[sample_mask(len(indices), most / max(len(indices), 1))]
     if len(indices) < _FEWEST_LENSES:
         raise CalibrationError(

@@ -18,13 +18,20 @@ from ..lattice.cell import Cell
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops, find_lit_lenses, sample_mask
 from ..lattice.robust_fit import SIGNIFICANT
-from ..runtime.arrays import ENOUGH_PIXELS, Floats, Integers, Singles
+from ..runtime.arrays import ENOUGH_PIXELS, Booleans, Floats, Integers, Singles, evenly
 from ..runtime.errors import CalibrationError
 from .kernel import Rings, Sums, Windows, add_lenses
 
-__all__ = ["FEWEST_LENSES", "UNLIT", "Microimages", "cut_out"]
+__all__ = [
+    "UNLIT",
+    "Microimages",
+    "compare_pixels",
+    "cut_out",
+    "measure_centroid_offset",
+    "measure_narrowing",
+]
 
-FEWEST_LENSES = 12
+_FEWEST_LENSES = 12
 # [px] between rings of the profile: edges of discs are about 1 px wide.
 _RING_STEP = 0.125
 # Parts of the lenses that are summed in parallel: a fixed number, so that sums do not depend on
@@ -43,6 +50,10 @@ _FEW = 0.01
 UNLIT = 0.03
 # Pixels that a slope is measured on.
 _SLOPE_PIXELS = 2e5
+# Lenses that centroids are measured on.
+_CENTROID_LENSES = 300
+# Least slope of the profile, over the steepest one, of pixels that locate an edge.
+_STEEP = 0.1
 
 
 @dataclass(frozen=True)
@@ -245,10 +256,10 @@ def cut_out(
     bright = np.zeros(0, dtype=bool)
     if len(gain):
         bright = gain > UNLIT * np.quantile(gain, 0.95)
-    if bright.sum() < FEWEST_LENSES:
+    if bright.sum() < _FEWEST_LENSES:
         raise CalibrationError(
             f"only {bright.sum()} whole microimages of {lattice.pitch:.1f} px pitch are lit on the "
-            f"flat, at least {FEWEST_LENSES} are needed; give the whole sensor"
+            f"flat, at least {_FEWEST_LENSES} are needed; give the whole sensor"
         )
     indices = indices[bright]
     centres = centres[bright]
@@ -336,3 +347,84 @@ def _fit_shade(slopes: Floats, weight: Floats, centres: Floats, lattice: Lattice
         return np.zeros((3, 2))
     middle = (np.array(lattice.image_size) - 1) / 2
     return np.vstack([found[:2] - found[2] * middle, found[2] * np.eye(2)])
+
+
+def compare_pixels(lenses: Microimages) -> tuple[Floats, Booleans, Floats]:
+    """Pixels of windows against the model.
+
+    Residuals (n, k, k) over the gains; which pixels lie in cells and are not clipped; and slope of
+    the profile there [1/px] and weight, (2, n, k, k).
+    """
+    x, y = lenses.places()
+    far = np.maximum(np.hypot(x, y), 1e-6)
+    step, table, saturation = lenses.rings
+    level, slope, weight, own, harmonic = (
+        np.interp(far / step, np.arange(len(table)), c) for c in table.T
+    )
+    (shade_x, shade_y), (slope_x, slope_y) = (
+        lenses.shade.T[..., None, None],
+        lenses.slope.T[..., None, None],
+    )
+    model = level + own * (shade_x * x + shade_y * y) + harmonic * (1 - 8 * (x * y / far**2) ** 2)
+    inside = lenses.light < saturation
+    for across, down in lenses.cell.normals:
+        inside &= across * x + down * y <= 0.5
+    tilt = 1 + slope_x * x + slope_y * y
+    return (
+        lenses.light / (lenses.gain[:, None, None] * tilt) - model,
+        inside,
+        np.stack([slope, weight]),
+    )
+
+
+def measure_narrowing(lenses: Microimages) -> tuple[float, float]:
+    """By how much microimages in the corners are narrower along the field than across [px].
+
+    Also returns the error.
+
+    Amplitude of `cos(2 * angle)` of the radius, angles from the direction of the field, growing
+    with the field: neither a lattice nor its distortion, neither blur nor the shape of pixels give
+    whole discs any.
+    """
+    few = lenses.thin(ENOUGH_PIXELS)
+    x, y = few.places()
+    far = np.maximum(np.hypot(x, y), 1e-6)
+    residual, inside, (slope, weight) = compare_pixels(few)
+    used = inside & (far < few.cell.inradius) & (residual**2 * weight < SIGNIFICANT**2)
+    used &= np.abs(slope) > _STEEP * np.abs(few.rings.table[:, 1]).max()
+    field = few.field[:, :, None, None]
+    reach = np.maximum(np.hypot(field[:, 0], field[:, 1]), 1e-6)
+    along = (field[:, 0] * x + field[:, 1] * y) / (reach * far)
+    response = slope * reach * (2 * along**2 - 1)
+    information = float((used * weight * response**2).sum())
+    if information <= 0:
+        return 0.0, np.inf
+    return float((used * weight * response * residual).sum()) / information, information**-0.5
+
+
+def measure_centroid_offset(lenses: Microimages, lattice: Lattice) -> float:
+    """Distance [px] of plain centroids from the lattice in the middle of the field.
+
+    It is 0 if there are too few microimages.
+
+    What grows with the field is left out: a disc that cuts microimages moves their centroids.
+    """
+    moved = lenses.at(lattice)
+    near = np.flatnonzero(np.hypot(*moved.field.T) < 0.25)
+    near = near[evenly(len(near), _CENTROID_LENSES)]
+    if len(near) < 12:
+        return 0.0
+    x, y = moved.places()
+    x = x[near]
+    y = y[near]
+    light = moved.light[near]
+    field = moved.field[near]
+    window = np.clip(moved.cell.inradius + 0.5 - np.hypot(x, y), 0, 1)
+    light = window * np.clip(light - np.quantile(light, 0.05, axis=(1, 2))[:, None, None], 0, None)
+    total = np.maximum(light.sum((1, 2)), 1e-30)
+    offset = np.column_stack([(light * way).sum((1, 2)) / total for way in (x, y)])
+    field = field - field.mean(0)
+    growth = ((offset - np.median(offset, axis=0)) * field).sum() / max(
+        float((field**2).sum()), 1e-30
+    )
+    return float(np.hypot(*np.median(offset - growth * field, axis=0)))
