@@ -63,7 +63,7 @@ def estimate_gain(
     `picture` (h, w), or crops of a white image, is the square root of the luminance; `cut` the
     cutting disc if known.
     """
-    sample = draw_sample(lattice, picture, _PIXELS, scene)
+    sample = draw_sample(lattice, picture, _PIXELS, scene, 1 + scene)
     rings = int(Cell.of(lattice).circumradius / _STEP) + 3
     gain = GainMap.round(np.ones(rings), _STEP, nearest_half(lattice), () if cut is None else cut)
     largest = np.full(rings, np.inf)

@@ -11,12 +11,13 @@ from ..camera.lens_types import LensTypes
 from ..gain.gain_map import Defects, GainMap, Vignetting, nearest_half
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import ReadCrop, StackedCrops
-from ..runtime.arrays import Floats, Singles, evenly
+from ..runtime.arrays import ENOUGH_PIXELS, Floats, Singles, evenly
 from ..runtime.errors import CalibrationError
 from .defect_search import find_defects
 from .estimate import estimate_gain
 from .lens_light import find_unlit_in_scene, measure_lens_lights
 from .profiles import ProfilePixels, fit_scene_profile, fit_type_profiles, order_by_rims
+from .residuals import draw_sample
 
 __all__ = ["Illumination", "measure_illumination"]
 
@@ -26,6 +27,8 @@ __all__ = ["Illumination", "measure_illumination"]
 MOST_OFF_GAIN = 0.03
 # [limit] Radius below which light is not taken for the rim.
 _INNER = 0.3
+# Rows of microimages of which one is used for the profiles of scenes and types.
+_ROWS = 2
 # Lenses over which the vignetting is averaged.
 _LENSES = 64
 
@@ -63,14 +66,16 @@ def measure_illumination(
     lattice with a usable radius.
     """
     gain = estimate_gain(picture, lattice, not white, cut)
-    pixels = None
     if not white:
-        pixels = ProfilePixels.draw(picture, lattice, gain, True)
+        sample = draw_sample(lattice, picture, ENOUGH_PIXELS, True, _ROWS)
+        pixels = ProfilePixels.of(sample, gain)
         gain = replace(gain, profile=fit_scene_profile(pixels, gain))
     vignetting, radius = _average(gain, lattice)
     types = find_types(lattice.with_radius(radius)) if find_types else None
     if types is not None and types.count > 1:
-        pixels = pixels or ProfilePixels.draw(picture, lattice, gain, not white)
+        if white:
+            sample = draw_sample(lattice, picture, ENOUGH_PIXELS, False, _ROWS)
+            pixels = ProfilePixels.of(sample, gain)
         gain = fit_type_profiles(pixels, radius, gain, types, not white)
     if white:
         types, gain = order_by_rims(types, gain, radius)

@@ -19,10 +19,8 @@ from numpy.typing import NDArray
 
 from ..camera.lens_types import LensTypes
 from ..gain.gain_map import GainMap
-from ..lattice.lattice import Lattice
-from ..lattice.lens_subset import StackedCrops
-from ..runtime.arrays import ENOUGH_PIXELS, Floats, Integers, Singles
-from .residuals import CLIPPED_PIXELS, CORES, Sample, clipping_luminance, draw_sample
+from ..runtime.arrays import Floats, Integers
+from .residuals import CLIPPED_PIXELS, CORES, Sample
 
 __all__ = ["FEW_PIXELS", "ProfilePixels", "fit_scene_profile", "fit_type_profiles", "order_by_rims"]
 
@@ -45,17 +43,14 @@ class ProfilePixels(NamedTuple):
     part: Floats  # (p,) how far it lies towards the next one
 
     @classmethod
-    def draw(
-        cls, picture: Singles | StackedCrops, lattice: Lattice, gain: GainMap, scene: bool
-    ) -> ProfilePixels:
-        """About a million pixels of a flat; `picture` (h, w) is the square root of the luminance.
+    def of(cls, sample: Sample, gain: GainMap) -> ProfilePixels:
+        """Those of a sample.
 
         They depend on the rim and the cutting disc of the gain map, not on its profile.
         """
-        sample = draw_sample(lattice, picture, ENOUGH_PIXELS, True)
         _, stretched, through = sample.evaluate(gain)
         lit = through >= 0.5
-        clipped = (sample.value >= clipping_luminance(sample.value, scene)) & lit
+        clipped = (sample.value >= sample.clipping) & lit
         whole = sample.add(clipped.astype(np.float64)) * CLIPPED_PIXELS <= sample.add(
             lit.astype(np.float64)
         )

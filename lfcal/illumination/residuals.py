@@ -26,7 +26,6 @@ __all__ = [
     "CORES",
     "Residuals",
     "Sample",
-    "clipping_luminance",
     "collect_residuals",
     "draw_sample",
 ]
@@ -61,6 +60,7 @@ class Sample(NamedTuple):
     x: Array  # (p,) [px] from its centre
     y: Array  # (p,) [px]
     value: Array  # (p,) luminance
+    clipping: float  # luminance from which on pixels count as clipped; infinite for white images
 
     @property
     def windows(self) -> int:
@@ -84,12 +84,12 @@ class Sample(NamedTuple):
 
 
 def draw_sample(
-    lattice: Lattice, picture: Singles | StackedCrops, pixels: float, scene: bool
+    lattice: Lattice, picture: Singles | StackedCrops, pixels: float, scene: bool, step: int = 1
 ) -> Sample:
     """Sample of the lenses of a flat, or of crops of it, with about so many pixels.
 
-    `picture` is the square root of the luminance. Of large lenses rows and columns are left out; of
-    scenes every other row, as their content differs little from row to row.
+    `picture` is the square root of the luminance. Of large lenses rows and columns are left out;
+    with a `step` of 2 every other row, as the content of scenes differs little from row to row.
     """
     crops = StackedCrops.of(picture)
     cell = Cell.of(lattice)
@@ -108,14 +108,14 @@ def draw_sample(
     count = np.bincount(window)
     middle = np.column_stack([np.bincount(window, way) / count for way in centres.T])
     # Other pixels are left out in each lens.
-    rows = stride * (1 + scene)
+    rows = stride * step
     number = np.arange(len(places))
     first = np.ceil(places - cell.circumradius).astype(int) + np.column_stack(
         [number // stride % stride, number % rows]
     )
     side = int(2 * cell.circumradius) + 1
     x, y = (
-        first[:, axis, None] + np.arange(0, side, step) for axis, step in ((0, stride), (1, rows))
+        first[:, axis, None] + np.arange(0, side, every) for axis, every in ((0, stride), (1, rows))
     )
     dx = x - places[:, :1]
     dy = y - places[:, 1:]
@@ -126,8 +126,9 @@ def draw_sample(
     value = crops.picture[y[lens, row], x[lens, column]].astype(np.float64) ** 2
     field = lattice.field_place(centres)
     terms = field_monomials(lattice.field_place(middle), _WINDOW_TERMS)
-    pixels_of = (lens, dx[lens, column], dy[lens, row], value)
-    return Sample(indices[chosen], field, window, terms, *pixels_of)
+    clipping = CLIPPED_LIGHT * float(value.max()) if scene else math.inf
+    places_in = (lens, dx[lens, column], dy[lens, row])
+    return Sample(indices[chosen], field, window, terms, *places_in, value, clipping)
 
 
 class Residuals(NamedTuple):
@@ -152,13 +153,6 @@ class Residuals(NamedTuple):
         """
         sums: Array = np.bincount(self.ring, values * (1 - self.part), rings)
         return sums + np.bincount(self.ring + 1, values * self.part, rings)
-
-
-def clipping_luminance(value: Array, scene: bool) -> float:
-    """Luminance at which pixels of a scene count as clipped; infinite for white images."""
-    if scene:
-        return CLIPPED_LIGHT * float(value.max())
-    return math.inf
 
 
 def collect_residuals(sample: Sample, gain: GainMap, scene: bool, largest: Array) -> Residuals:
@@ -196,9 +190,8 @@ def _fit_lens_lights(
     own = sample.select(inside)
     s = light[inside]
     v = own.value
-    clipping = clipping_luminance(sample.value, scene)
     count = own.add(np.ones_like(v))
-    clipped = own.add((v >= clipping).astype(np.float64))
+    clipped = own.add((v >= sample.clipping).astype(np.float64))
     total = own.add(s * v)
     whole = own.add(s * s)
     good = (count >= 4) & (total > 0) & (clipped * CLIPPED_PIXELS <= count)

@@ -13,6 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..detection.search import Candidate
+from ..images.preprocessing import edge_strength, normalise_locally, sqrt_luminance
 from ..lattice.cell import Cell
 from ..lattice.distortion import Distortion
 from ..lattice.lattice import Lattice
@@ -24,7 +26,13 @@ from ..runtime.errors import CalibrationError
 from .irls import LensShifts, error_inflation, find_regular_ratio, solve_irls
 from .template import build_lens_equations
 
-__all__ = ["fit_scene", "measure_shifts", "select_lenses", "standard_error"]
+__all__ = [
+    "fit_lattice_to_scenes",
+    "fit_scene",
+    "measure_shifts",
+    "select_lenses",
+    "standard_error",
+]
 
 _FEWEST_LENSES = 12
 # Lenses for the first steps, and passes of these.
@@ -39,6 +47,29 @@ _SETTLED = 0.2
 _TILES = 36
 _NO_LATTICE = "the microimages do not keep to one lattice; give a sharper flat or a white image"
 _TOO_LITTLE = "the microimages show too little; give a brighter flat or a white image"
+
+
+def fit_lattice_to_scenes(lights: list[Singles], picture: Singles, start: Candidate) -> LatticeFit:
+    """Fit one or several scenes of luminance `lights` (h, w); `picture` is the root of their mean.
+
+    Only the edges at the rims are those of the lattice: brightness also shows the scene, gaps of
+    cut microimages, and where a camera has flattened its pictures with another white image.
+    """
+    found = start.lattice
+    # More than a rim, less than the scene in a lens.
+    window = 0.5 * found.pitch
+    rims = normalise_locally(
+        edge_strength(picture if len(lights) == 1 else sqrt_luminance(lights[0])), window
+    )
+    for light in lights[1:]:
+        rims += normalise_locally(edge_strength(sqrt_luminance(light)), window)
+    if len(lights) > 1:
+        rims /= np.float32(len(lights))
+    fit = fit_scene(rims, found)
+    if fit.residual_rms > 0.02 * found.pitch and not fit.half_difference < start.half_difference:
+        # Single lenses scatter too much: averages of whole tiles are the better measure.
+        return LatticeFit(found, fit.residual_rms, fit.lenses_used, start.half_difference)
+    return fit
 
 
 def fit_scene(picture: Singles, lattice: Lattice, most: int = 8000) -> LatticeFit:

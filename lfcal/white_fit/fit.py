@@ -18,6 +18,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..detection.search import Candidate
+from ..images.preprocessing import soften_mask
 from ..lattice.distortion import GENERAL_TERMS, Distortion
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops
@@ -40,9 +42,10 @@ from .microimages import (
     measure_centroid_offset,
     measure_narrowing,
 )
+from .spots import are_spots, fit_spots
 from .two_discs import TwoDiscs, fit_two_discs
 
-__all__ = ["fit_white", "refine_on_parts"]
+__all__ = ["fit_lattice_to_white_image", "fit_white", "refine_on_parts"]
 
 # Damping of a step by robust weights: for Tukey's biweight and normal residuals the ratio of the
 # means of second and first derivative is 0.76 / 0.91, a little more as pixels of several lenses
@@ -249,6 +252,60 @@ _LEAST_CUT = 0.3
 _MOST_COST = 0.995
 
 
+def fit_lattice_to_white_image(picture: Singles | StackedCrops, start: Candidate) -> LatticeFit:
+    """Fit a white image (h, w), as made by `sqrt_luminance`, or crops of it.
+
+    The lattice of `start` is kept where the fit runs away.
+    """
+    found = start.lattice
+    if isinstance(picture, np.ndarray):
+        if are_spots(picture, found):
+            return fit_spots(picture, found)
+        picture = soften_mask(picture)
+    crops = StackedCrops.of(picture)
+    try:
+        white = fit_white(crops, found)
+    except CalibrationError:
+        raise
+    except ValueError as error:
+        # A distortion that no lattice can have.
+        raise CalibrationError(
+            "the microimages do not keep to one lattice; give a white image with more of them or "
+            "with less noise"
+        ) from error
+    index = found.indices() if crops.size == found.image_size else crops.lenses(found, 0.0)[0]
+    places = found.points(index[:: max(1, len(index) // 4000)])
+    # A distortion that the start does not have is no error of it.
+    near = (
+        white.lattice if found.distortion is not None else replace(white.lattice, distortion=None)
+    )
+    distance = near.points(np.rint(near.to_index(places))) - places
+    # A fit that has run away.
+    if not np.sqrt((distance**2).sum(1).mean()) < 0.2 * found.pitch:
+        return LatticeFit(found, white.residual_rms, white.lenses_used, start.half_difference)
+    return replace(white, displacement=_displacement(white, places))
+
+
+def _displacement(white: LatticeFit, places: Floats) -> float:
+    """`LatticeFit.displacement` of a fit at `places` (n, 2) [px], centres on the first lattice.
+
+    The first lattice is straight and goes through the middles of the visible microimages; those of
+    cut ones lie off the centre by up to half of the cut.
+    """
+    lattice = white.lattice
+    centres = lattice.points(np.rint(lattice.to_index(places)))
+    cut = np.zeros(places.shape)
+    if white.cut is not None:
+        cut = white.cut[:2] + white.cut[2] * lattice.field_place(centres)
+    middle = places - places.mean(0)
+    base = np.linalg.qr(np.column_stack([np.ones(len(places)), middle / np.abs(middle).max()]))[0]
+    distance = base.T @ (centres - places)
+    cut = base.T @ cut
+    # Of two equal discs, the middle shifts by half of the cut.
+    share = np.clip(-(distance * cut).sum() / max(float((cut**2).sum()), 1e-300), 0, 0.5)
+    return float(np.sqrt(((distance + share * cut) ** 2).sum() / len(places)))
+
+
 def fit_white(tones: Singles | StackedCrops, lattice: Lattice) -> LatticeFit:
     """Fit a white image.
 
@@ -281,7 +338,8 @@ def refine_on_parts(tones: StackedCrops, lattice: Lattice) -> Lattice:
     `tones` are square roots of the light; the lattice is right to a fraction of the pitch in these
     parts. Raises `CalibrationError` as `fit_white`.
     """
-    return _select_orders(_fit_some(tones, lattice)).lattice
+    fit = _fit_some(tones, lattice)
+    return _select_orders(fit).lattice
 
 
 def _fit_some(tones: StackedCrops, lattice: Lattice) -> Fit:
@@ -323,10 +381,6 @@ def _find_cut(tones: StackedCrops, plain: Fit, bent: Fit) -> TwoDiscs | None:
     # A disc that stays outside the microimages cuts nothing.
     if discs is None or discs.depth < _LEAST_CUT:
         return None
-    # Where nothing is cut, in the middle, centroids are those of the lenses.
-    beside = measure_centroid_offset(plain.lenses, discs.lens_lattice)
-    if beside > max(_CENTROIDS, measure_centroid_offset(plain.lenses, plain.lattice)):
-        return None
     # Two discs must explain the pixels better than whole microimages of any profile.
     residuals = [discs.residuals(plain.lenses)]
     for fit in (plain, bent):
@@ -334,7 +388,12 @@ def _find_cut(tones: StackedCrops, plain: Fit, bent: Fit) -> TwoDiscs | None:
         residuals.append(residual[inside])
     most = (TUKEY_CUTOFF * robust_sigma(residuals[0])) ** 2
     by_discs, *whole = (float(np.minimum(one**2, most).mean()) for one in residuals)
-    return discs if by_discs < _MOST_COST * min(whole) else None
+    if not by_discs < _MOST_COST * min(whole):
+        return None
+    # Where nothing is cut, in the middle, centroids are those of the lenses.
+    beside = measure_centroid_offset(plain.lenses, discs.lens_lattice)
+    usual = measure_centroid_offset(plain.lenses, plain.lattice)
+    return None if beside > max(_CENTROIDS, usual) else discs
 
 
 def _find_doubt(lenses: Microimages, lattice: Lattice) -> str | None:
