@@ -15,7 +15,7 @@ import numpy as np
 
 from ..camera.evidence import Evidence
 from ..camera.proofs import is_one_lens
-from ..hough.circle_vote import OVERLAPPING, find_circles, find_peaks, propose_basis
+from ..hough.circle_vote import OVERLAPPING, find_circles, find_marks, propose_basis
 from ..lattice.lattice import Lattice, reduce_basis
 from ..lattice.stated import LatticeHint
 from ..runtime.arrays import Floats, Singles
@@ -276,8 +276,7 @@ def _measure_period(features: FlatFeatures, basis: Floats) -> list[Candidate]:
     found = []
     start = Lattice(np.zeros(2), basis, (width, height), float(np.hypot(*basis.T).min() / 2))
     picture = features.picture
-    found_marks = [find(picture, start.pitch) for find in (find_circles, find_peaks)]
-    marks = [Marks.of(one, picture, start.pitch) for one in found_marks]
+    marks = [Marks.of(one, picture, start.pitch) for one in find_marks(picture, start.pitch)]
     middle = (np.array([width, height]) - 1) / 2
     lines = [LineProfile.measure(features.steps, one) for one in np.linalg.inv(basis).T]
     for centre in _propose_centres(maps, lines):

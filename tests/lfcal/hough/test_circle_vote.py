@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import lfcal
-from lfcal.hough.circle_vote import find_circles, find_peaks, propose_basis
+from lfcal.hough.circle_vote import find_circles, find_marks, propose_basis
 from lfcal.images.preprocessing import sqrt_luminance
 
 
@@ -56,4 +56,4 @@ def test_peaks_are_the_centres_of_spots():
     y, x = np.mgrid[:400, :500]
     spots = np.exp(-(((x % 25 - 12) ** 2 + (y % 25 - 12) ** 2) / 5.0)).astype(np.float32)
     lattice = lfcal.Lattice([12, 12], [[25, 0], [0, 25]], (500, 400), 3)
-    assert find_peaks(spots, 25.0).agreement(lattice) > 0.95
+    assert find_marks(spots, 25.0)[1].agreement(lattice) > 0.95
