@@ -182,11 +182,9 @@ class _Fitter:
         """
         start = lattice.basis
         path = Acceleration([], [])
-        # The lenses that agree best are selected at first, and once more when the fit has converged
-        # on them: selected at every step, they would alternate between parts of the flat that do
-        # not agree.
+        # The lenses that agree best are selected at first: selected at every step, they would
+        # alternate between parts of the flat that do not agree.
         weights: Floats | None = None
-        restarts = 1
         for turn in range(passes):
             if measured is None or turn > 0:
                 measured = measure_shifts(self.picture, lattice, self.indices, self.stride)
@@ -200,15 +198,6 @@ class _Fitter:
             short = _SETTLED * standard_error(shifts, change, weight, shifts.design)
             leap = path.leap(lattice, change, shifts.design)
             settled = max(field_rms(shifts.design, change), field_rms(shifts.design, leap)) < short
-            if settled and restarts and before is not None:
-                restarts -= 1
-                other, others = solve_irls(shifts)
-                if field_rms(shifts.design, other - change) > short:
-                    change = other
-                    weight = others
-                    path = Acceleration([], [])
-                    settled = False
-                    leap = path.leap(lattice, change, shifts.design)
             weights = np.zeros(len(self.indices))
             weights[shown] = weight
             from_here = lattice
