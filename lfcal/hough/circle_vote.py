@@ -32,11 +32,11 @@ __all__ = [
 #: [pitch] Radii of microimages side by side, and of those that overlap their neighbours.
 SEPARATE = (0.36, 0.52)
 OVERLAPPING = (0.52, 0.68)
-#: [px] pitch that pictures are scaled to: on 47 flats, circles of scenes lie on the right lattice as
-#: often as with 24 px, or more often (shares of 0.4 to 0.9), and take half of the time.
+#: [px] pitch that pictures are scaled to: with 24 px the search takes half as long again, and the
+#: circles of 47 flats lie on the right lattice no more often.
 _SCALED_PITCH = 20
-#: [pitch] Side of the part that is searched.
-_SIDE = 24
+#: [pitch] Side of the part that is searched: with 24 or less, Letras is given a wrong lattice.
+_SIDE = 30
 #: Circles whose distances are compared.
 _MOST_CIRCLES = 400
 # Places of the part that is searched, in shares of the room to the left and above: the middle, and
