@@ -1,5 +1,4 @@
-"""Circles of microimages by Hough vote: what lattice they propose, and how well they agree with
-one.
+"""Circles of microimages by Hough vote, and how well they agree with a lattice.
 
 Each edge pixel votes for the centres that it may belong to, along its gradient (Ballard 1981; Yuen
 et al. 1990, as in `cv2.HoughCircles`). Content of the scene makes circles too, but only those of
@@ -9,7 +8,6 @@ the lens rims lie on a lattice.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import combinations
 from typing import Any
 
 import cv2
@@ -17,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..images.preprocessing import normalise_locally
-from ..lattice.lattice import Lattice, reduce_basis
+from ..lattice.lattice import Lattice
 from ..runtime.arrays import Floats, Singles
 
 __all__ = [
@@ -26,7 +24,6 @@ __all__ = [
     "Circles",
     "find_circles",
     "find_marks",
-    "propose_basis",
 ]
 
 #: [pitch] Radii of microimages side by side, and of those that overlap their neighbours.
@@ -37,8 +34,6 @@ OVERLAPPING = (0.52, 0.68)
 _SCALED_PITCH = 20
 #: [pitch] Side of the part that is searched: with 24 or less, Letras is given a wrong lattice.
 _SIDE = 30
-#: Circles whose distances are compared.
-_MOST_CIRCLES = 400
 # Places of the part that is searched, in shares of the room to the left and above: the middle, and
 # around it.
 _PLACES = (
@@ -155,62 +150,3 @@ def _brightest_part(picture: Singles, side: int) -> tuple[int, int]:
     ]
     best = int(np.argmax(means))
     return places[best] if means[best] > 2 * means[0] else places[0]
-
-
-def propose_basis(picture: Singles, pitch: float) -> Floats | None:
-    """Basis (2, 2) [px] of the two most frequent steps between circles of about this pitch; None if
-    none stand out.
-    """
-    centres = find_circles(picture, pitch).centres
-    if len(centres) < 20:
-        return None
-    # Those in the middle are enough.
-    middle = np.median(centres, axis=0)
-    centres = centres[np.argsort(np.hypot(*(centres - middle).T))[:_MOST_CIRCLES]]
-    every = (centres[:, None] - centres[None]).reshape(-1, 2)
-    every = every[np.abs(every).max(1) < 5 * pitch]
-    steps = every[np.abs(np.hypot(*every.T) / pitch - 1.05) < 0.35]
-    # A step and its opposite are the same.
-    steps = np.where((steps[:, :1] < 0) | ((steps[:, :1] == 0) & (steps[:, 1:] < 0)), -steps, steps)
-    found = _frequent_steps(steps, 0.06 * pitch)
-    for a, b in combinations(found, 2):
-        if abs(a[0] * b[1] - a[1] * b[0]) > 0.4 * np.hypot(*a) * np.hypot(*b):
-            return _refine(reduce_basis(np.array([a, b])), every)
-    return None
-
-
-def _frequent_steps(steps: Floats, size: float) -> list[Floats]:
-    """Up to six most frequent steps, of those (n, 2) to the right, in a histogram of squares of
-    this size [px].
-    """
-    count = 24
-    edges = size * (np.arange(2 * count + 1) - count)
-    histogram = np.histogram2d(steps[:, 0], steps[:, 1], bins=(edges[count:], edges))[0]
-    table = cv2.GaussianBlur(histogram, (0, 0), 1.0)
-    mean = float(table.mean())
-    found = []
-    for _ in range(6):
-        row, column = np.unravel_index(int(table.argmax()), table.shape)
-        if table[row, column] < 3 * mean:
-            break
-        step = np.array([edges[count + row], edges[column]]) + size / 2
-        near = np.hypot(*(steps - step).T) < 2 * size
-        if near.any():
-            found.append(np.median(steps[near], axis=0))
-        table[max(row - 3, 0) : row + 4, max(column - 3, 0) : column + 4] = 0
-    return found
-
-
-def _refine(basis: Floats, steps: Floats) -> Floats:
-    """A basis (2, 2) [px] fitted to longer and longer ones of the `steps` (n, 2) [px] between
-    circles.
-    """
-    for reach in (1, 2, 3, 4):
-        index = np.rint(steps @ np.linalg.inv(basis))
-        near = np.hypot(*(steps - index @ basis).T) < 0.15 * np.hypot(*basis[0])
-        near &= (np.abs(index).max(1) <= reach) & index.any(1)
-        fitted, _, rank, _ = np.linalg.lstsq(index[near], steps[near], rcond=None)
-        if rank < 2:
-            break
-        basis = fitted
-    return basis

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import lfcal
-from lfcal.hough.circle_vote import find_circles, find_marks, propose_basis
+from lfcal.hough.circle_vote import find_circles, find_marks
 from lfcal.images.preprocessing import sqrt_luminance
 
 
@@ -37,17 +37,7 @@ def test_circles_in_noise_agree_with_nothing():
     assert abs(find_circles(noise, 20).agreement(lattice)) < 0.1
 
 
-@pytest.mark.parametrize("guess", [15.0, 17.3, 19.0])
-def test_basis_is_proposed_from_a_pitch_a_tenth_off(white, guess):
-    truth, picture = white
-    proposed = propose_basis(picture, guess)
-    assert proposed is not None
-    steps = proposed @ np.linalg.inv(truth.basis)
-    assert abs(np.linalg.det(np.rint(steps))) == pytest.approx(1)
-    assert np.abs(steps - np.rint(steps)).max() < 0.1
-
-
-def test_a_crop_of_few_lenses_of_three_types_is_proposed_by_its_circles(shared):
+def test_a_crop_of_few_lenses_of_three_types_is_found(shared):
     flat = lfcal.read_flat(shared("captures", "R42_crop.png"))
     assert lfcal.calibrate(flat).lattice.pitch == pytest.approx(34.87, abs=0.02)
 
