@@ -47,8 +47,8 @@ __all__ = [
 _PART = 500
 # Rings with more relative light than this lie inside the middle of the rim.
 _BEFORE_RIM = 0.75
-# Number of lenses, spread over the flat, whose light is averaged; 16 captures have the same lit cell
-# with 16, 32 and 64.
+# Number of lenses, spread over the flat, whose light is averaged; 16 captures have the same lit
+# cell with 16, 32 and 64.
 _AVERAGED = 16
 # Degrees of the polynomial of the light that are tried, and lenses for each of its factors.
 _DEGREES = (4, 2)

@@ -78,9 +78,7 @@ def find_circles(picture: Singles, pitch: float, radii: tuple[float, float] = SE
 
 
 def find_marks(picture: Singles, pitch: float) -> tuple[Circles, Circles]:
-    """Circles, and the brightest places of a `pitch` [px] about them, as spots are, in the middle of
-    a picture (h, w).
-    """
+    """Circles, and the brightest places of a `pitch` [px], in the middle of a picture (h, w)."""
     part = _ScaledPart.of(picture, pitch)
     return part.find_circles(SEPARATE), part.find_peaks()
 

@@ -273,8 +273,8 @@ def fit_lattice_to_white_image(picture: Singles | StackedCrops, start: Candidate
             "the microimages do not keep to one lattice; give a white image with more of them or "
             "with less noise"
         ) from error
-    index = found.indices() if crops.size == found.image_size else crops.lenses(found, 0.0)[0]
-    places = found.points(index[:: max(1, len(index) // 4000)])
+    assert white.residuals is not None
+    places = found.points(white.residuals.indices)
     # A distortion that the start does not have is no error of it.
     near = (
         white.lattice if found.distortion is not None else replace(white.lattice, distortion=None)
@@ -306,17 +306,16 @@ def _displacement(white: LatticeFit, places: Floats) -> float:
     return float(np.sqrt(((distance + share * cut) ** 2).sum() / len(places)))
 
 
-def fit_white(tones: Singles | StackedCrops, lattice: Lattice) -> LatticeFit:
+def fit_white(tones: StackedCrops, lattice: Lattice) -> LatticeFit:
     """Fit a white image.
 
     CalibrationError if it has fewer than a dozen whole microimages, or if these do not lie on a
     lattice.
 
-    `tones` (h, w), or parts of such, is as made by `images.preprocessing.sqrt_luminance`; `lattice`
-    the start, right to a fraction of the pitch over the whole flat, whose orders of distortion are
+    `tones` are parts of a flat as made by `images.preprocessing.sqrt_luminance`; `lattice` is the
+    start, right to a fraction of the pitch over the whole flat, whose orders of distortion are
     kept. Used are at most as many lenses, evenly spread, as have `_PIXELS` in all.
     """
-    tones = StackedCrops.of(tones)
     plain = _fit_some(tones, lattice)
     fit = _select_orders(plain)
     discs = _find_cut(tones, plain, fit)
@@ -329,7 +328,7 @@ def fit_white(tones: Singles | StackedCrops, lattice: Lattice) -> LatticeFit:
             fit = _select_orders(converge(fit.lattice, lenses, fit.orders))
         found = _summarise(fit)
         lenses = fit.lenses
-    return replace(found, doubt=found.doubt or _find_doubt(lenses, found.lattice))
+    return replace(found, doubt=found.doubt or _find_doubt(lenses.at(found.lattice)))
 
 
 def refine_on_parts(tones: StackedCrops, lattice: Lattice) -> Lattice:
@@ -391,13 +390,13 @@ def _find_cut(tones: StackedCrops, plain: Fit, bent: Fit) -> TwoDiscs | None:
     if not by_discs < _MOST_COST * min(whole):
         return None
     # Where nothing is cut, in the middle, centroids are those of the lenses.
-    beside = measure_centroid_offset(plain.lenses, discs.lens_lattice)
-    usual = measure_centroid_offset(plain.lenses, plain.lattice)
+    usual = measure_centroid_offset(plain.lenses)
+    beside = measure_centroid_offset(plain.lenses.at(discs.lens_lattice))
     return None if beside > max(_CENTROIDS, usual) else discs
 
 
-def _find_doubt(lenses: Microimages, lattice: Lattice) -> str | None:
-    offset = measure_centroid_offset(lenses, lattice)
+def _find_doubt(lenses: Microimages) -> str | None:
+    offset = measure_centroid_offset(lenses)
     if not offset > _CENTROIDS:
         return None
     return (

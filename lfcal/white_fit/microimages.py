@@ -402,24 +402,23 @@ def measure_narrowing(lenses: Microimages) -> tuple[float, float]:
     return float((used * weight * response * residual).sum()) / information, information**-0.5
 
 
-def measure_centroid_offset(lenses: Microimages, lattice: Lattice) -> float:
-    """Distance [px] of plain centroids from the lattice in the middle of the field.
+def measure_centroid_offset(lenses: Microimages) -> float:
+    """Distance [px] of plain centroids from the centres in the middle of the field.
 
     It is 0 if there are too few microimages.
 
     What grows with the field is left out: a disc that cuts microimages moves their centroids.
     """
-    moved = lenses.at(lattice)
-    near = np.flatnonzero(np.hypot(*moved.field.T) < 0.25)
+    near = np.flatnonzero(np.hypot(*lenses.field.T) < 0.25)
     near = near[evenly(len(near), _CENTROID_LENSES)]
     if len(near) < 12:
         return 0.0
-    x, y = moved.places()
+    x, y = lenses.places()
     x = x[near]
     y = y[near]
-    light = moved.light[near]
-    field = moved.field[near]
-    window = np.clip(moved.cell.inradius + 0.5 - np.hypot(x, y), 0, 1)
+    light = lenses.light[near]
+    field = lenses.field[near]
+    window = np.clip(lenses.cell.inradius + 0.5 - np.hypot(x, y), 0, 1)
     light = window * np.clip(light - np.quantile(light, 0.05, axis=(1, 2))[:, None, None], 0, None)
     total = np.maximum(light.sum((1, 2)), 1e-30)
     offset = np.column_stack([(light * way).sum((1, 2)) / total for way in (x, y)])
