@@ -1,4 +1,4 @@
-"""Circles of microimages by Hough vote, and how well they agree with a lattice.
+"""Circles of microimages by Hough vote, and the brightest places of spots.
 
 Each edge pixel votes for the centres that it may belong to, along its gradient (Ballard 1981; Yuen
 et al. 1990, as in `cv2.HoughCircles`). Content of the scene makes circles too, but only those of
@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..images.preprocessing import normalise_locally
-from ..lattice.lattice import Lattice
 from ..runtime.arrays import Floats, Singles
 
 __all__ = [
@@ -32,21 +31,8 @@ OVERLAPPING = (0.52, 0.68)
 #: [px] pitch that pictures are scaled to: with 24 px the search takes half as long again, and the
 #: circles of 47 flats lie on the right lattice no more often.
 _SCALED_PITCH = 20
-#: [pitch] Side of the part that is searched: with 24 or less, Letras is given a wrong lattice.
+#: [pitch] Side of the part that is searched: with 24, Letras is given a wrong lattice.
 _SIDE = 30
-# Places of the part that is searched, in shares of the room to the left and above: the middle, and
-# around it.
-_PLACES = (
-    (0.5, 0.5),
-    (0.2, 0.5),
-    (0.8, 0.5),
-    (0.5, 0.2),
-    (0.5, 0.8),
-    (0.0, 0.0),
-    (1.0, 0.0),
-    (0.0, 1.0),
-    (1.0, 1.0),
-)
 
 
 @dataclass(frozen=True)
@@ -55,21 +41,6 @@ class Circles:
 
     centres: Floats  # (n, 2) [px]
     radii: Floats  # (n,) [px]
-
-    def agreement(self, lattice: Lattice) -> float:
-        """Share of the circles that lie on the lattice, 0..1, beyond what chance puts there; NaN
-        for too few circles.
-
-        0 is that of circles anywhere, 1 that of circles which all lie on lattice points.
-        """
-        if len(self.centres) < 20:
-            return float("nan")
-        index = lattice.to_index(self.centres)
-        # Eight per cent lie as near by chance.
-        near = 0.15 * lattice.pitch
-        share = float((np.hypot(*(lattice.points(np.rint(index)) - self.centres).T) < near).mean())
-        chance = min(np.pi * near**2 / abs(float(np.linalg.det(lattice.basis))), 0.5)
-        return (share - chance) / (1 - chance)
 
 
 def find_circles(picture: Singles, pitch: float, radii: tuple[float, float] = SEPARATE) -> Circles:
@@ -95,7 +66,8 @@ class _ScaledPart:
     def of(cls, picture: Singles, pitch: float) -> _ScaledPart:
         height, width = picture.shape
         side = min(max(int(_SIDE * pitch), 64), height, width)
-        left, top = _brightest_part(picture, side)
+        left = (width - side) // 2
+        top = (height - side) // 2
         part = np.ascontiguousarray(picture[top : top + side, left : left + side])
         levelled = normalise_locally(part, 3 * pitch)
         factor = _SCALED_PITCH / pitch
@@ -133,18 +105,3 @@ class _ScaledPart:
     def to_flat(self, places: NDArray[Any]) -> Floats:
         """Positions (n, 2) [px] on the picture of places (n, 2) in the part."""
         return (places + 0.5) / self.factor - 0.5 + self.corner
-
-
-def _brightest_part(picture: Singles, side: int) -> tuple[int, int]:
-    """Left and top [px] of the square part in the middle, or of one beside it that has more than
-    twice its light.
-    """
-    height, width = picture.shape
-    places = [
-        (int(across * (width - side)), int(down * (height - side))) for across, down in _PLACES
-    ]
-    means = [
-        float(picture[top : top + side : 4, left : left + side : 4].mean()) for left, top in places
-    ]
-    best = int(np.argmax(means))
-    return places[best] if means[best] > 2 * means[0] else places[0]
