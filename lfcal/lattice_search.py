@@ -17,8 +17,8 @@ from .images.mosaic import equalise_mosaic, remove_mosaic
 from .images.preprocessing import luminance, sqrt_luminance
 from .images.stack import average_scenes, combine_whites, select_contrasted
 from .lattice.lens_subset import ReadCrop, StackedCrops
+from .lattice.robust_fit import LatticeFit
 from .lattice.stated import LatticeHint
-from .lattice_fit import FinalLattice, fit_lattice_to_scenes, fit_lattice_to_white_image
 from .runtime.errors import RAW_FLAT_ADVICE, CalibrationError
 
 __all__ = ["FittedLattice", "find_lattice", "find_lattice_in_crops", "find_lattice_in_piece"]
@@ -36,7 +36,7 @@ class FittedLattice:
     # (h, w) root of the luminance, or crops of a white image
     picture: NDArray[np.float32] | StackedCrops
     white: bool  # the flat is a white image
-    fit: FinalLattice
+    fit: LatticeFit
     evidence: Evidence
     read_crop: ReadCrop | None = None  # reads any part of the flat, where `picture` are crops
 
@@ -51,7 +51,7 @@ class FittedLattice:
         picture: NDArray[np.float32] | StackedCrops,
         white: bool,
         start: Candidate,
-        fit: FinalLattice,
+        fit: LatticeFit,
         read_crop: ReadCrop | None = None,
     ) -> FittedLattice:
         """The fit that began at a candidate, with the agreement of its own halves."""
@@ -61,6 +61,7 @@ class FittedLattice:
 
 def find_lattice_in_crops(flat: NDArray[Any], kind: str, has_mosaic: bool) -> FittedLattice | None:
     """The lattice of a very large white image from crops of it; None where it is none."""
+    from .white_fit.fit import fit_lattice_to_white_image
     from .white_fit.large import find_white_lattice, sample_parts, window_reader
 
     read_crop = window_reader(flat, has_mosaic)
@@ -73,6 +74,7 @@ def find_lattice_in_crops(flat: NDArray[Any], kind: str, has_mosaic: bool) -> Fi
 
 def find_lattice_in_piece(flat: NDArray[Any], kind: str) -> FittedLattice | None:
     """The lattice of a large white image, from its middle outwards; None where it is none."""
+    from .white_fit.fit import fit_lattice_to_white_image
     from .white_fit.large import find_white_lattice_in_array
 
     picture = sqrt_luminance(flat)
@@ -164,6 +166,8 @@ def _fit(
     """
     whites = _select_whites(lights, start, kind, has_mosaic)
     if whites:
+        from .white_fit.fit import fit_lattice_to_white_image
+
         picture = sqrt_luminance(combine_whites(whites) if len(whites) > 1 else whites[0])
         try:
             return FittedLattice.of(
@@ -172,6 +176,8 @@ def _fit(
         except CalibrationError:
             if kind == "white":
                 raise
+    from .scene_fit.fit import fit_lattice_to_scenes
+
     scenes = [remove_mosaic(light) for light in lights] if has_mosaic else lights
     picture = sqrt_luminance(average_scenes(scenes) if len(scenes) > 1 else scenes[0])
     try:

@@ -115,17 +115,19 @@ def _combine(
     """The calibration of flats, with their white level, mosaic, exposure and blur."""
     from threadpoolctl import threadpool_limits
 
+    from .detection.downscale import choose_block_size
     from .images.stack import estimate_white_level, measure_overexposure
 
     clipped = max(measure_overexposure(flat) for flat in flats)
     for flat in flats:
         check_mosaic(mosaic, flat)
+    found = [mosaic] if mosaic is not None else [find_mosaic(flat) for flat in flats]
     try:
         # The equations are too small for more threads to pay off.
         with threadpool_limits(1, "blas"):
-            filtered = mosaic is not None or any(find_mosaic(flat) for flat in flats)
-            mosaics = filtered and all(flat.ndim == 2 for flat in flats)
-            camera = _calibrate(flats, kind, mosaics, hint, step)
+            filtered = any(found) and all(flat.ndim == 2 for flat in flats)
+            block = choose_block_size(flats[0], filtered)
+            camera = _calibrate(flats, block, kind, filtered, hint, step)
     except CalibrationError as error:
         if clipped <= _CLIPPED:
             raise
@@ -139,8 +141,9 @@ def _combine(
         )
         camera = replace(camera, warnings=(*camera.warnings, warning))
     camera = replace(camera, white_level=estimate_white_level(flats), mosaic=mosaic)
-    for flat in flats:
-        camera = camera.with_mosaic_of(flat)
+    for one in found:
+        if mosaic is None and one is not None:
+            camera = camera.with_mosaic(one, guessed=True)
     # Rims of several lens types take seconds to fit: of scenes, those of one type are measured.
     quick = camera.source == "white" or camera.lens_types is None
     if quick and camera.confidence >= SURE_CONFIDENCE:
@@ -152,12 +155,17 @@ def _combine(
 
 
 def _calibrate(
-    flats: list[NDArray[Any]], kind: str, filtered: bool, hint: LatticeHint | None, step: Step
+    flats: list[NDArray[Any]],
+    block: int,
+    kind: str,
+    filtered: bool,
+    hint: LatticeHint | None,
+    step: Step,
 ) -> Calibration:
+    """The calibration of flats that may be averaged in squares of `block` px."""
     from .detection.downscale import average_blocks, choose_block_size, upscale_calibration
     from .lattice_search import find_lattice
 
-    block = choose_block_size(flats[0])
     found = None
     if len(flats) == 1 and kind != "scene" and hint is None:
         found = _find_large(flats[0], kind, filtered, block)
@@ -165,7 +173,8 @@ def _calibrate(
         size = flats[0].shape[1], flats[0].shape[0]
         small = hint and hint.scaled(block)
         averaged = [average_blocks(flat, block) for flat in flats]
-        camera = _calibrate(averaged, kind, False, small, step)
+        again = choose_block_size(averaged[0], False)
+        camera = _calibrate(averaged, again, kind, False, small, step)
         return upscale_calibration(camera, block, size)
     found = found or find_lattice(flats, kind, filtered, hint)
     step(1, _STAGES)
@@ -205,7 +214,7 @@ def _measure(found: FittedLattice) -> Calibration:
         picture,
         fit.lattice,
         white,
-        fit.cat_eye,
+        fit.cut,
         found.read_crop,
         lambda lattice: find_lens_types(picture, lattice, white),
     )

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera.calibration import Calibration
-from ..gain.gain_map import field_place
 from ..lattice.lattice import describe_orientation
 
 __all__ = ["Alignment", "measure_alignment"]
@@ -97,7 +96,7 @@ def _fit_centres(camera: Calibration) -> tuple[Array, Array, Array, float] | Non
     length = np.hypot(*offset.T)
     keep = length <= 4 * np.median(length) + 1e-9
     indices, centres = indices[keep], lattice.points(indices[keep]) + offset[keep]
-    x, y = field_place(centres, lattice).T
+    x, y = lattice.field_place(centres).T
     table = np.column_stack(
         [np.ones(len(x)), indices, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3, centres]
     )

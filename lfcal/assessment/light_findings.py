@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera.calibration import Calibration
-from ..gain.gain_map import field_place
 from ..images.preprocessing import luminance
 from ..images.stack import measure_overexposure
 from ..lens_blur.microimages import LIGHT_FAULT, Field
@@ -133,10 +132,8 @@ def _lens_light(seen: Seen) -> Field:
     lattice = seen.camera.lattice
     if gain is None:
         return Field(*tiles)
-    centres = lattice.centres()
-    found = Field.fit(
-        field_place(centres, lattice), np.log(gain.light(centres, lattice)), LIGHT_FAULT
-    )
+    field = lattice.field_place(lattice.centres())
+    found = Field.fit(field, np.log(gain.light(field)), LIGHT_FAULT)
     apart = np.hypot(*(found.slope - tiles.slope)) / 2
     return found._replace(slope_error=float(np.hypot(found.slope_error, apart)))
 

@@ -154,7 +154,7 @@ def _draw_evenness(axes: Any, found: Assessment) -> None:
     gain = found.calibration.gain_map
     lattice = found.calibration.lattice
     centres = lattice.centres()
-    light = np.ones(len(centres)) if gain is None else gain.light(centres, lattice)
+    light = np.ones(len(centres)) if gain is None else gain.light(lattice.field_place(centres))
     _map(axes, found, centres, light, "light of the lenses")
 
 

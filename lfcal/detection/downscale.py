@@ -33,21 +33,18 @@ PIECES = 6e6
 _PART = 768
 
 
-def choose_block_size(flat: Array) -> int:
-    """Side [px] of the blocks that a flat (h, w) or (h, w, 3) is to be averaged in: 1 where it is
-    not large.
+def choose_block_size(flat: Array, has_mosaic: bool) -> int:
+    """Side [px] of the blocks that a flat (h, w) or (h, w, 3) is averaged in; 1 unless it is large.
 
     Raises `CalibrationError` if a large flat shows no lattice in its middle, nor beside it.
     """
     height, width = flat.shape[:2]
     if height * width < LARGE:
         return 1
-    from ..images.mosaic import find_mosaic
-
     pitch = _find_pitch(flat)
     block = max(1, min(int(pitch / 9), round(np.sqrt(3 * height * width / LARGE))))
     # Whole cells of a colour mosaic average to grey.
-    return block - block % 2 if block > 1 and find_mosaic(flat) else block
+    return block - block % 2 if block > 1 and has_mosaic else block
 
 
 def _find_pitch(flat: Array) -> float:

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..camera.evidence import Evidence
 from ..camera.proofs import is_one_lens
-from ..hough.circle_vote import OVERLAPPING, find_circles, find_peaks, propose_basis
+from ..hough.circle_vote import OVERLAPPING, find_circles, find_marks
 from ..lattice.lattice import Lattice, reduce_basis
 from ..lattice.stated import LatticeHint
 from ..runtime.arrays import Floats, Singles
@@ -207,33 +207,15 @@ def _find_coarser_periods(found: list[Candidate]) -> Iterator[Floats]:
 def _find_other_periods(
     features: FlatFeatures, tried: list[Floats], found: list[Candidate]
 ) -> Iterator[Floats]:
-    """Periods of lines and of circles, unless the spectrum has shown a lattice that is sure."""
+    """Periods of lines, then regular arrays near the bases tried so far, unless the spectrum has
+    shown a lattice that is sure.
+    """
     if any(one.evidence.probability > _SURE for one in found):
         return
     yield from find_line_periods(features.steps)
-    for basis in _find_more_periods(features, tried):
-        yield _refine_period(features, basis)
-
-
-def _find_more_periods(features: FlatFeatures, tried: list[Floats]) -> Iterator[Floats]:
-    """The most frequent steps between circles, then regular arrays near the bases tried so far.
-
-    An array of three lens types repeats with a cell three times as large: its pitch is a root of
-    three shorter.
-    """
-    known = list(tried)
-    pitches: list[float] = []
-    for basis in known:
-        shortest = float(np.hypot(*basis.T).min())
-        for pitch in shortest * np.array([1, 1.1, 1 / np.sqrt(3), 1.1 / np.sqrt(3)]):
-            if pitch >= _SHORTEST and all(abs(np.log(pitch / other)) > 0.07 for other in pitches):
-                pitches.append(float(pitch))
-    for pitch in pitches:
-        proposed = propose_basis(features.picture, pitch)
-        if proposed is not None:
-            yield proposed
-    for basis in known:
-        yield from _regular_bases(basis)
+    for known in list(tried):
+        for basis in _regular_bases(known):
+            yield _refine_period(features, basis)
 
 
 def _regular_bases(basis: Floats) -> Iterator[Floats]:
@@ -276,8 +258,7 @@ def _measure_period(features: FlatFeatures, basis: Floats) -> list[Candidate]:
     found = []
     start = Lattice(np.zeros(2), basis, (width, height), float(np.hypot(*basis.T).min() / 2))
     picture = features.picture
-    found_marks = [find(picture, start.pitch) for find in (find_circles, find_peaks)]
-    marks = [Marks.of(one, picture, start.pitch) for one in found_marks]
+    marks = [Marks.of(one, picture, start.pitch) for one in find_marks(picture, start.pitch)]
     middle = (np.array([width, height]) - 1) / 2
     lines = [LineProfile.measure(features.steps, one) for one in np.linalg.inv(basis).T]
     for centre in _propose_centres(maps, lines):

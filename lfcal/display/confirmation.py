@@ -94,7 +94,7 @@ def _expected_cell(gain: GainMap, lattice: Lattice, centre: Floats, bins: int) -
     `centre` (2,) [cells] is the place of the lens.
     """
     x, y = np.ascontiguousarray(bin_offsets(lattice.basis, bins, centre).reshape(-1, 2).T)
-    lens = gain.describe(lattice.points(lattice.middle[None]), lattice)
+    lens = gain.describe(lattice.field_place(lattice.points(lattice.middle[None])))
     light = gain.evaluate(lens, np.zeros(len(x), np.int64), x, y)[0]
     return np.sqrt(np.maximum(light, 0)).reshape(bins, bins)
 

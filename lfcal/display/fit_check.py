@@ -173,7 +173,7 @@ def _measure(
         return np.full((3, 3, 2), np.nan)
     if not fit.half_difference < _HALVES * given.pitch:
         return np.full((3, 3, 2), np.nan)
-    found = Lattice(fit.origin, fit.basis, given.image_size, given.radius, fit.distortion)
+    found = fit.lattice
     index = given.indices()[evenly(len(given), ENOUGH_LENSES)]
     centres = given.points(index)
     # Lenses are counted from the middle one, so that all offsets point to the same side.

@@ -1,4 +1,4 @@
-"""Gain map: relative illumination at every place of every microimage; defects.
+"""Gain map: relative illumination at every place of every microimage; fits of the light; defects.
 
 The map is compact enough for a camera file.
 
@@ -18,7 +18,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..lattice.cell import Cell
 from ..lattice.lattice import Lattice
-from ..runtime.arrays import Array, Floats, Frozen, Integers, Singles, decode_array, encode_array
+from ..lattice.robust_fit import TUKEY_CUTOFF, biweight, robust_sigma
+from ..runtime.arrays import (
+    ENOUGH_LENSES,
+    Array,
+    Floats,
+    Frozen,
+    Integers,
+    Singles,
+    decode_array,
+    encode_array,
+    evenly,
+)
 from .kernel import RIM_START, Shape, evaluate_light
 
 __all__ = [
@@ -27,7 +38,8 @@ __all__ = [
     "Vignetting",
     "count_terms",
     "field_monomials",
-    "field_place",
+    "fit_light",
+    "fit_light_slope",
     "nearest_half",
 ]
 
@@ -35,9 +47,12 @@ __all__ = [
 _PART = 500
 # Rings with more relative light than this lie inside the middle of the rim.
 _BEFORE_RIM = 0.75
-# Number of lenses, spread over the flat, whose light is averaged; 16 captures have the same lit cell
-# with 16, 32 and 64.
+# Number of lenses, spread over the flat, whose light is averaged; 16 captures have the same lit
+# cell with 16, 32 and 64.
 _AVERAGED = 16
+# Degrees of the polynomial of the light that are tried, and lenses for each of its factors.
+_DEGREES = (4, 2)
+_LENSES_PER_TERM = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,24 +169,20 @@ class GainMap(Frozen):
             np.array(cut),
         )
 
-    def light(self, centres: Floats, lattice: Lattice) -> Floats:
-        """(n,) light of lenses at centres (n, 2) [px] by the polynomial of the field."""
-        return np.exp(field_monomials(centres, lattice, len(self.level)) @ self.level)
+    def light(self, field: Floats) -> Floats:
+        """(n,) light of lenses at places (n, 2) of the field, by the polynomial."""
+        return np.exp(field_monomials(field, len(self.level)) @ self.level)
 
-    def describe(self, centres: Floats, lattice: Lattice) -> Floats:
-        """(n, s) lenses at centres (n, 2) [px] as kernels take them: see `kernel`."""
-        lenses = np.zeros((len(centres), RIM_START + len(self.rim)))
+    def describe(self, field: Floats) -> Floats:
+        """(n, s) lenses at places (n, 2) of the field as kernels take them: see `kernel`."""
+        lenses = np.zeros((len(field), RIM_START + len(self.rim)))
         unit = np.array([1.0, 1, 2, 2, 2])
-        lenses[:, :5] = (
-            field_monomials(centres, lattice, self.shading.shape[1])
-            @ self.shading.T
-            / self.radius**unit
-        )
+        shading = field_monomials(field, self.shading.shape[1]) @ self.shading.T
+        lenses[:, :5] = shading / self.radius**unit
         if len(self.cut):
-            lenses[:, 5:7] = self.cut[:2] + self.cut[2] * field_place(centres, lattice)
-        lenses[:, RIM_START:] = (
-            field_monomials(centres, lattice, self.rim.shape[1]) @ self.rim.T / self.radius
-        )
+            lenses[:, 5:7] = self.cut[:2] + self.cut[2] * field
+        rim = field_monomials(field, self.rim.shape[1]) @ self.rim.T
+        lenses[:, RIM_START:] = rim / self.radius
         return lenses
 
     @property
@@ -188,7 +199,7 @@ class GainMap(Frozen):
         It is 0 for unlit lenses.
         """
         limit = nearest_half(lattice)
-        lenses = self.describe(lattice.centres(), lattice)
+        lenses = self.describe(lattice.field_place(lattice.centres()))
         least = np.full(len(lattice), limit)
         # In parts, so that memory does not grow with the flat.
         for part in np.array_split(np.arange(len(lenses)), len(lenses) // _PART + 1):
@@ -209,9 +220,9 @@ class GainMap(Frozen):
         """
         cell = Cell.of(lattice)
         centres = lattice.centres()
-        chosen = np.ascontiguousarray(centres[:: max(1, len(centres) // _AVERAGED)])
+        chosen = lattice.field_place(centres[:: max(1, len(centres) // _AVERAGED)])
         rings = int(cell.circumradius / self.step) + 2
-        light = self.sample(self.describe(chosen, lattice), rings).mean(0)
+        light = self.sample(self.describe(chosen), rings).mean(0)
         inner = light[:, : int(cell.inradius / 2 / self.step) + 1]
         dark = light < inner.max() / 2
         first_dark = np.where(dark.any(1), dark.argmax(1) - 1, rings)
@@ -385,16 +396,53 @@ def nearest_half(lattice: Lattice) -> float:
     return float(np.hypot(*(lattice.steps @ lattice.basis).T).min() / 2)
 
 
-def field_place(points: Floats, lattice: Lattice) -> Floats:
-    """(n, 2) flat positions [px] from the middle of the flat, in half diagonals."""
-    size = np.array(lattice.image_size)
-    return np.asarray((points - (size - 1) / 2) / (np.hypot(*size) / 2))
-
-
-def field_monomials(points: Floats, lattice: Lattice, terms: int) -> Floats:
-    """(n, terms) `1, X, Y, X^2, X*Y, Y^2, ...` at flat positions (n, 2) [px]."""
+def field_monomials(field: Floats, terms: int) -> Floats:
+    """(n, terms) `1, X, Y, X^2, X*Y, Y^2, ...` at places (n, 2) of `Lattice.field_place`."""
     degree = next(degree for degree in range(terms) if count_terms(degree) >= terms)
-    xs, ys = (np.vander(v, degree + 1, increasing=True) for v in field_place(points, lattice).T)
+    xs, ys = (np.vander(v, degree + 1, increasing=True) for v in field.T)
     return np.column_stack(
         [xs[:, d - b] * ys[:, b] for d in range(degree + 1) for b in range(d + 1)]
     )
+
+
+def fit_light(lights: NDArray[np.floating], field: Floats) -> Floats:
+    """Factors (terms,) of `field_monomials` for the logarithms of the lights (n,) of lenses.
+
+    A robust fit: dust and dead lenses get no weight. The degree is four if there are enough lenses
+    at the places (n, 2) of the field.
+    """
+    some = evenly(len(lights), ENOUGH_LENSES)
+    log = np.log(np.maximum(lights[some], 1e-12))
+    count = len(log)
+    degree = next((d for d in _DEGREES if count >= _LENSES_PER_TERM * count_terms(d)), 0)
+    table = field_monomials(field[some], count_terms(degree))
+    ridge = 1e-9 * max(count, 1) * np.eye(table.shape[1])
+    weight = np.ones(count)
+    level: Floats = np.zeros(table.shape[1])
+    for _ in range(5):
+        weighted = weight[:, None] * table
+        level[:] = np.linalg.solve(weighted.T @ table + ridge, weighted.T @ log)
+        miss = np.abs(log - table @ level)
+        spread = 1.0
+        if count:
+            spread = robust_sigma(miss) + 1e-9
+        weight = biweight((miss / (TUKEY_CUTOFF * spread)) ** 2)
+    return level
+
+
+def fit_light_slope(lights: NDArray[np.floating], field: Floats, reach: float) -> Floats:
+    """(n, 2) relative slope of the light of lenses [1/px], from the polynomial through it.
+
+    The lenses are at places (n, 2) of the field, whose unit is `reach` [px].
+    """
+    level = fit_light(lights, field)
+    degree = next(d for d in (*_DEGREES, 0) if count_terms(d) == len(level))
+    slopes = np.zeros((count_terms(max(degree - 1, 0)), 2))
+    for d in range(1, degree + 1):
+        own = level[count_terms(d - 1) : count_terms(d)]
+        order = np.arange(d + 1)
+        # X^(d - b) Y^b has the derivatives (d - b) X^(d - 1 - b) Y^b and b X^(d - b) Y^(b - 1).
+        rows = slice(count_terms(d - 2), count_terms(d - 1))
+        slopes[rows, 0] = ((d - order) * own)[:-1]
+        slopes[rows, 1] = (order * own)[1:]
+    return np.ascontiguousarray(field_monomials(field, len(slopes)) @ slopes / reach)

@@ -114,7 +114,8 @@ def _make_row_tables(lattice: Lattice, gain: GainMap) -> _RowTables:
     i, j = (np.arange(low[axis], high[axis] + 1) for axis in (0, 1))
     centres = lattice.points(np.stack(np.meshgrid(i, j), -1))
     points = centres.reshape(-1, 2)
-    light = gain.light(points, lattice).reshape(centres.shape[:2])
+    field = lattice.field_place(points)
+    light = gain.light(field).reshape(centres.shape[:2])
     if len(gain.lens_gain):
         light[indices[:, 1] - low[1], indices[:, 0] - low[0]] *= gain.lens_gain
     types = np.zeros(light.shape, np.int8)
@@ -125,7 +126,7 @@ def _make_row_tables(lattice: Lattice, gain: GainMap) -> _RowTables:
     cross = min(((1, 1), (1, -1)), key=lambda step: float(np.hypot(*(step @ lattice.basis))))
     sides = np.array([(1, 0), (-1, 0), (0, 1), (0, -1), cross, (-cross[0], -cross[1])])
     ahead = sides[(sides @ lattice.basis)[:, 0] > -_BACKWARDS * lattice.pitch]
-    lenses = gain.describe(points, lattice).astype(np.float32).reshape(*light.shape, -1)
+    lenses = gain.describe(field).astype(np.float32).reshape(*light.shape, -1)
     return _RowTables(centres, light, lenses, types, np.ascontiguousarray(starts - low), ahead)
 
 

@@ -19,13 +19,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from ..gain.gain_map import GainMap, count_terms, field_monomials, field_place, nearest_half
+from ..gain.gain_map import GainMap, count_terms, nearest_half
 from ..lattice.cell import Cell
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops
 from ..lattice.robust_fit import TUKEY_CUTOFF
 from ..runtime.arrays import Array, Booleans, Floats, Singles
-from ..white_fit.vignetting import CatEye
 from .profiles import FEW_PIXELS
 from .residuals import Residuals, collect_residuals, draw_sample
 
@@ -55,19 +54,18 @@ _SHADED = (0.7, 0.95)
 
 
 def estimate_gain(
-    picture: Singles | StackedCrops, lattice: Lattice, scene: bool, cat_eye: CatEye | None = None
+    picture: Singles | StackedCrops, lattice: Lattice, scene: bool, cut: Floats | None = None
 ) -> GainMap:
     """Estimate the shape of the microimages of a flat, without the light of single lenses.
 
     On a scene, the profile is that of single lenses: `fit_scene_profile` corrects it.
 
-    `picture` (h, w), or crops of a white image, is the square root of the luminance; `cat_eye` the
+    `picture` (h, w), or crops of a white image, is the square root of the luminance; `cut` the
     cutting disc if known.
     """
-    sample = draw_sample(lattice, picture, _PIXELS, scene)
+    sample = draw_sample(lattice, picture, _PIXELS, scene, 1 + scene)
     rings = int(Cell.of(lattice).circumradius / _STEP) + 3
-    cut = () if cat_eye is None else (*cat_eye.shift, cat_eye.growth, cat_eye.radius, cat_eye.blur)
-    gain = GainMap.round(np.ones(rings), _STEP, nearest_half(lattice), cut)
+    gain = GainMap.round(np.ones(rings), _STEP, nearest_half(lattice), () if cut is None else cut)
     largest = np.full(rings, np.inf)
     # The profile alone has to be about right before the rest is fitted.
     for terms in (False, False, True, True):
@@ -186,7 +184,7 @@ def _fit_rim(
     terms = 1
     if sample.windows > 2 * count_terms(2) and not scene:
         terms = count_terms(2)
-    field = np.repeat(field_monomials(sample.middle, sample.lattice, terms), directions, axis=0)
+    field = np.repeat(sample.window_terms[:, :terms], directions, axis=0)
     old, rim = np.zeros((2, 1 + 2 * harmonics, terms))
     old[: len(gain.rim), : gain.rim.shape[1]] = gain.rim
     blocks = []
@@ -232,7 +230,7 @@ def _fit_cut(residuals: Residuals, gain: GainMap) -> Array:
             )
         ),
     )
-    field = field_place(sample.centres, sample.lattice)[sample.lens]
+    field = sample.field[sample.lens]
     cut = gain.cut
     offset = np.stack([sample.x, sample.y], axis=1) - cut[:2] - cut[2] * field
     far = np.hypot(*offset.T)
@@ -273,7 +271,7 @@ def _fit_shading(residuals: Residuals, gain: GainMap, rims: Booleans) -> Array:
     windows = sample.windows
     window = sample.window[sample.lens]
     terms = next((count_terms(d) for d in (3, 1) if windows > 2 * count_terms(d)), 1)
-    field = field_monomials(sample.middle, sample.lattice, terms)
+    field = sample.window_terms
     shading = np.zeros((5, terms))
     shading[:, : gain.shading.shape[1]] = gain.shading[:, :terms]
     cells = [(row, c) for row in range(5) for c in range(terms if row < 2 else min(6, terms))]

@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera.lens_types import LensTypes
-from ..gain.gain_map import GainMap
+from ..gain.gain_map import GainMap, fit_light
 from ..gain.kernel import relative_light
-from ..gain.light_polynomial import fit_light
 from ..lattice.cell import Cell, is_outside_cell
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import ReadCrop
@@ -27,7 +26,13 @@ from ..runtime.arrays import Booleans, Floats, Integers, Singles, evenly
 from ..runtime.kernels import kernel
 from ..white_fit.microimages import UNLIT
 
-__all__ = ["LensLights", "find_unlit_in_scene", "measure_lens_lights"]
+__all__ = [
+    "LensLights",
+    "LensMeasurements",
+    "find_unlit_in_scene",
+    "fit_lens_lights",
+    "measure_lenses",
+]
 
 # Least relative light of the pixels that the light of a lens is measured on: darker ones, at the
 # rim, depend more on the place of the lens.
@@ -68,7 +73,7 @@ class LensLights:
     unlit: Integers
 
 
-class _LensMeasurements(NamedTuple):
+class LensMeasurements(NamedTuple):
     """Measurements of every lens (n,).
 
     These are the light, the number of its pixels, their standard deviation, the mean and the
@@ -89,7 +94,7 @@ class _LensMeasurements(NamedTuple):
 def _measure_lenses(
     begin, end, picture, top, chosen, centres, lenses, cell, stride, shape, profile, out
 ):
-    """Write `_LensMeasurements` of the `chosen` lenses into `out` (7, n).
+    """Write `LensMeasurements` of the `chosen` lenses into `out` (7, n).
 
     `picture` begins at row `top` of the flat.
     """
@@ -151,14 +156,17 @@ def _measure_lenses(
             )
 
 
-def _measure(
-    picture: Singles | ReadCrop, lattice: Lattice, gain: GainMap, centres: Floats
-) -> _LensMeasurements:
-    """Measure some pixels of all lenses."""
+def measure_lenses(
+    picture: Singles | ReadCrop, lattice: Lattice, gain: GainMap, lenses: Floats
+) -> LensMeasurements:
+    """Measure some pixels of all lenses, which `gain` has described.
+
+    `picture` (h, w), or a function that reads crops of it, is the square root of the luminance.
+    """
+    centres = lattice.centres()
     cell = Cell.of(lattice)
-    out = np.zeros((len(_LensMeasurements._fields), len(centres)), np.float32)
+    out = np.zeros((len(LensMeasurements._fields), len(centres)), np.float32)
     stride = max(1, round(math.sqrt(abs(np.linalg.det(lattice.basis)) / _PIXELS)))
-    lenses = gain.describe(centres, lattice)
     kinds = np.zeros(len(centres), np.int8)
     if gain.type_cell.size:
         kinds = LensTypes(gain.type_cell).of(lattice.indices())
@@ -172,7 +180,7 @@ def _measure(
 
     if not callable(picture):
         measure(picture, 0, np.arange(len(centres)))
-        return _LensMeasurements(*out)
+        return LensMeasurements(*out)
     # Bands of rows, as the flat is not in memory.
     width, height = lattice.image_size
     reach = cell.circumradius
@@ -183,16 +191,12 @@ def _measure(
         top = max(0, math.floor(number * _BAND - reach) - 1)
         bottom = min(height, math.ceil((number + 1) * _BAND + reach) + 1)
         measure(picture(0, top, width, bottom - top), top, order[start:stop])
-    return _LensMeasurements(*out)
+    return LensMeasurements(*out)
 
 
-def measure_lens_lights(picture: Singles | ReadCrop, lattice: Lattice, gain: GainMap) -> LensLights:
-    """Light of all lenses of a white image, given the shape of its microimages.
-
-    `picture` (h, w), or a function that reads crops of it, is the square root of the luminance.
-    """
+def fit_lens_lights(found: LensMeasurements, lattice: Lattice, gain: GainMap) -> LensLights:
+    """Light of all lenses of a white image, given the shape of its microimages."""
     centres = lattice.centres()
-    found = _measure(picture, lattice, gain, centres)
     seen = found.number > 0
     light = found.light
     few = evenly(len(centres), _SAMPLE)
@@ -211,8 +215,9 @@ def measure_lens_lights(picture: Singles | ReadCrop, lattice: Lattice, gain: Gai
         return LensLights(gain, 1.0, np.zeros(0, np.int64))
     whole = found.number > _WHOLE * np.median(found.number[few][seen[few]])
     used = np.flatnonzero(lit & whole)
-    level = fit_light(light[used], centres[used], lattice)
-    smooth = replace(gain, level=level).light(centres, lattice).astype(np.float32)
+    field = lattice.field_place(centres)
+    level = fit_light(light[used], field[used])
+    smooth = replace(gain, level=level).light(field).astype(np.float32)
     # Far from all light a polynomial can be close to 0; squares of the ratio stay finite.
     np.maximum(smooth, np.float32(1e-9) * np.max(light), out=smooth)
     ratio = light / smooth
@@ -253,9 +258,8 @@ def _shrink_lens_gain(
     return light.astype(np.float32)
 
 
-def find_unlit_in_scene(picture: Singles, lattice: Lattice, gain: GainMap) -> Integers:
+def find_unlit_in_scene(found: LensMeasurements, lattice: Lattice) -> Integers:
     """Rows (m,) of the lenses of a scene that are dark while all their neighbours are lit."""
-    found = _measure(picture, lattice, gain, lattice.centres())
     indices = lattice.indices()
     low = indices.min(0) - 1
     grid = np.full(indices.max(0) - low + 2, np.nan)

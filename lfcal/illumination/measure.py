@@ -8,16 +8,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..camera.lens_types import LensTypes
-from ..gain.gain_map import Defects, GainMap, Vignetting, nearest_half
+from ..gain.gain_map import Defects, GainMap, Vignetting
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import ReadCrop, StackedCrops
-from ..runtime.arrays import Singles, evenly
-from ..runtime.errors import CalibrationError
-from ..white_fit.vignetting import CatEye
+from ..runtime.arrays import ENOUGH_PIXELS, Floats, Singles
 from .defect_search import find_defects
 from .estimate import estimate_gain
-from .lens_light import find_unlit_in_scene, measure_lens_lights
-from .profiles import ProfilePixels, fit_scene_profile, fit_type_profiles, order_by_rims
+from .lens_light import find_unlit_in_scene, fit_lens_lights, measure_lenses
+from .profiles import (
+    ProfilePixels,
+    average_vignetting,
+    fit_scene_profile,
+    fit_type_profiles,
+    order_by_rims,
+)
+from .residuals import draw_sample
 
 __all__ = ["Illumination", "measure_illumination"]
 
@@ -25,10 +30,8 @@ __all__ = ["Illumination", "measure_illumination"]
 #: images have up to 0.027 (a binary mask), one with large specks of dust 0.05, a checkerboard seen
 #: through an array 0.12.
 MOST_OFF_GAIN = 0.03
-# [limit] Radius below which light is not taken for the rim.
-_INNER = 0.3
-# Lenses over which the vignetting is averaged.
-_LENSES = 64
+# Rows of microimages of which one is used for the profiles of scenes and types.
+_ROWS = 2
 
 
 @dataclass(frozen=True)
@@ -51,7 +54,7 @@ def measure_illumination(
     picture: Singles | StackedCrops,
     lattice: Lattice,
     white: bool,
-    cat_eye: CatEye | None = None,
+    cut: Floats | None = None,
     read_crop: ReadCrop | None = None,
     find_types: Callable[[Lattice], LensTypes | None] | None = None,
 ) -> Illumination:
@@ -59,36 +62,38 @@ def measure_illumination(
 
     `picture` (h, w), or crops of a white image, is the square root of the luminance. From a scene
     follow only the common shape of its microimages, and of defects only unlit lenses with lit
-    neighbours. `cat_eye` is the disc that cuts microimages, if known; `read_crop` reads further
-    crops, of which only unlit lenses are found. `find_types` finds the types of the lenses of a
-    lattice with a usable radius.
+    neighbours. `cut` is the disc that cuts microimages, if known, as `GainMap.cut`; `read_crop`
+    reads further crops, of which only unlit lenses are found. `find_types` finds the types of the
+    lenses of a lattice with a usable radius.
     """
-    gain = estimate_gain(picture, lattice, not white, cat_eye)
-    pixels = None
+    gain = estimate_gain(picture, lattice, not white, cut)
     if not white:
-        pixels = ProfilePixels.draw(picture, lattice, gain, True)
+        sample = draw_sample(lattice, picture, ENOUGH_PIXELS, True, _ROWS)
+        pixels = ProfilePixels.of(sample, gain)
         gain = replace(gain, profile=fit_scene_profile(pixels, gain))
-    vignetting, radius = _average(gain, lattice)
+    vignetting, radius = average_vignetting(gain, lattice)
     types = find_types(lattice.with_radius(radius)) if find_types else None
     if types is not None and types.count > 1:
-        pixels = pixels or ProfilePixels.draw(picture, lattice, gain, not white)
+        if white:
+            sample = draw_sample(lattice, picture, ENOUGH_PIXELS, False, _ROWS)
+            pixels = ProfilePixels.of(sample, gain)
         gain = fit_type_profiles(pixels, radius, gain, types, not white)
     if white:
         types, gain = order_by_rims(types, gain, radius)
+    described = gain.describe(lattice.field_place(lattice.centres()))
+    source = picture if read_crop is None else read_crop
+    assert not isinstance(source, StackedCrops)
+    seen = measure_lenses(source, lattice, gain, described)
+    if white:
+        lights = fit_lens_lights(seen, lattice, gain)
+        gain = lights.gain
+        unlit = lights.unlit
+    else:
+        unlit = find_unlit_in_scene(seen, lattice)
+    defects = Defects(lenses=lattice.indices()[unlit].astype(np.int32))
     warnings: tuple[str, ...] = ()
     share = 0.0
-    if not white:
-        assert not isinstance(picture, StackedCrops)
-        unlit = find_unlit_in_scene(picture, lattice, gain)
-        defects = Defects(lenses=lattice.indices()[unlit].astype(np.int32))
-    elif isinstance(picture, StackedCrops):
-        assert read_crop is not None
-        lights = measure_lens_lights(read_crop, lattice, gain)
-        gain = lights.gain
-        defects = Defects(lenses=lattice.indices()[lights.unlit].astype(np.int32))
-    else:
-        lights = measure_lens_lights(picture, lattice, gain)
-        gain = lights.gain
+    if white and not isinstance(picture, StackedCrops):
         defects, share = find_defects(picture, lattice, lights)
         if share > MOST_OFF_GAIN:
             warnings = (
@@ -96,32 +101,3 @@ def measure_illumination(
                 "check the white image for structure or saturation",
             )
     return Illumination(gain, vignetting, radius, defects, warnings, share, types)
-
-
-def _average(gain: GainMap, lattice: Lattice) -> tuple[Vignetting, float]:
-    """Vignetting of the average microimage, and its usable radius."""
-    some = lattice.indices()[evenly(len(lattice), _LENSES)]
-    centres = np.ascontiguousarray(lattice.points(some))
-    limit = nearest_half(lattice)
-    rings = int(limit / gain.step) + 2
-    relative = gain.sample(gain.describe(centres, lattice), rings).mean((0, 1))
-    if not relative.max() > 0:
-        raise CalibrationError("no light is left in the average microimage; give a white image")
-    relative = np.clip(relative / relative.max(), 0, 1)
-    radii = np.arange(rings) * gain.step
-    radius = limit
-    # In clipped flats only the rims of bright microimages are measured.
-    dark = np.flatnonzero(
-        (relative < 0.5) & (radii > max(_INNER * limit, float(radii[relative.argmax()])))
-    )
-    if len(dark):
-        k = int(dark[0])
-        before = relative[k - 1]
-        after = relative[k]
-        radius = min(
-            limit,
-            float(
-                radii[k - 1] + np.clip((before - 0.5) / max(before - after, 1e-9), 0, 1) * gain.step
-            ),
-        )
-    return Vignetting(relative, gain.step), radius

@@ -18,13 +18,20 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from ..camera.lens_types import LensTypes
-from ..gain.gain_map import GainMap
+from ..gain.gain_map import GainMap, Vignetting, nearest_half
 from ..lattice.lattice import Lattice
-from ..lattice.lens_subset import StackedCrops
-from ..runtime.arrays import ENOUGH_PIXELS, Floats, Integers, Singles
-from .residuals import CLIPPED_PIXELS, CORES, Sample, clipping_luminance, draw_sample
+from ..runtime.arrays import Floats, Integers, evenly
+from ..runtime.errors import CalibrationError
+from .residuals import CLIPPED_PIXELS, CORES, Sample
 
-__all__ = ["FEW_PIXELS", "ProfilePixels", "fit_scene_profile", "fit_type_profiles", "order_by_rims"]
+__all__ = [
+    "FEW_PIXELS",
+    "ProfilePixels",
+    "average_vignetting",
+    "fit_scene_profile",
+    "fit_type_profiles",
+    "order_by_rims",
+]
 
 #: Rings with a smaller share of the pixels of the fullest ring are interpolated.
 FEW_PIXELS = 1e-3
@@ -34,6 +41,10 @@ _DARK = 0.02
 _SMOOTH = 1.25
 # Relative difference of the light of types that matters.
 _LEAST = 0.005
+# [limit] Radius below which light is not taken for the rim.
+_INNER = 0.3
+# Lenses over which the vignetting is averaged.
+_LENSES = 64
 
 
 class ProfilePixels(NamedTuple):
@@ -45,17 +56,14 @@ class ProfilePixels(NamedTuple):
     part: Floats  # (p,) how far it lies towards the next one
 
     @classmethod
-    def draw(
-        cls, picture: Singles | StackedCrops, lattice: Lattice, gain: GainMap, scene: bool
-    ) -> ProfilePixels:
-        """About a million pixels of a flat; `picture` (h, w) is the square root of the luminance.
+    def of(cls, sample: Sample, gain: GainMap) -> ProfilePixels:
+        """Those of a sample.
 
         They depend on the rim and the cutting disc of the gain map, not on its profile.
         """
-        sample = draw_sample(lattice, picture, ENOUGH_PIXELS, True)
         _, stretched, through = sample.evaluate(gain)
         lit = through >= 0.5
-        clipped = (sample.value >= clipping_luminance(sample.value, scene)) & lit
+        clipped = (sample.value >= sample.clipping) & lit
         whole = sample.add(clipped.astype(np.float64)) * CLIPPED_PIXELS <= sample.add(
             lit.astype(np.float64)
         )
@@ -113,7 +121,7 @@ def fit_scene_profile(found: ProfilePixels, gain: GainMap) -> Floats:
 
     Where the scene is too dark, the profile of `gain` is returned.
     """
-    types = np.zeros(len(found.sample.centres), np.int8)
+    types = np.zeros(len(found.sample.field), np.int8)
     light, weight, _ = found.sum_windows(gain, types, CORES[0] * gain.radius)
     if not len(light):
         return gain.profile
@@ -136,7 +144,7 @@ def fit_type_profiles(
     `radius` [px] is the usable one; on a white image the light of each lens is in the map.
     """
     sample = found.sample
-    kinds = types.of(np.rint(sample.lattice.to_index(sample.centres)).astype(np.int64))
+    kinds = types.of(sample.indices)
     light, weight, level = found.sum_windows(gain, kinds, 0.5 * radius)
     if level.shape[1] != types.count or len(level) < 4:
         return gain
@@ -184,3 +192,32 @@ def order_by_rims(
         cell, True, types.focus[order] if types.focus is not None else None, types.confidence
     )
     return ordered, replace(gain, type_light=gain.type_light[order], type_cell=cell)
+
+
+def average_vignetting(gain: GainMap, lattice: Lattice) -> tuple[Vignetting, float]:
+    """Vignetting of the average microimage, and its usable radius."""
+    some = lattice.indices()[evenly(len(lattice), _LENSES)]
+    field = lattice.field_place(lattice.points(some))
+    limit = nearest_half(lattice)
+    rings = int(limit / gain.step) + 2
+    relative = gain.sample(gain.describe(field), rings).mean((0, 1))
+    if not relative.max() > 0:
+        raise CalibrationError("no light is left in the average microimage; give a white image")
+    relative = np.clip(relative / relative.max(), 0, 1)
+    radii = np.arange(rings) * gain.step
+    radius = limit
+    # In clipped flats only the rims of bright microimages are measured.
+    dark = np.flatnonzero(
+        (relative < 0.5) & (radii > max(_INNER * limit, float(radii[relative.argmax()])))
+    )
+    if len(dark):
+        k = int(dark[0])
+        before = relative[k - 1]
+        after = relative[k]
+        radius = min(
+            limit,
+            float(
+                radii[k - 1] + np.clip((before - 0.5) / max(before - after, 1e-9), 0, 1) * gain.step
+            ),
+        )
+    return Vignetting(relative, gain.step), radius

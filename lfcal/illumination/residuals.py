@@ -14,11 +14,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..gain.gain_map import GainMap
+from ..gain.gain_map import GainMap, count_terms, field_monomials
 from ..images.stack import CLIPPED_LIGHT
 from ..lattice.cell import Cell
 from ..lattice.lattice import Lattice
-from ..lattice.lens_subset import StackedCrops, sample_lenses, sample_mask
+from ..lattice.lens_subset import StackedCrops, sample_mask
 from ..runtime.arrays import Array, Integers, Singles
 
 __all__ = [
@@ -26,7 +26,6 @@ __all__ = [
     "CORES",
     "Residuals",
     "Sample",
-    "clipping_luminance",
     "collect_residuals",
     "draw_sample",
 ]
@@ -37,6 +36,8 @@ _PIXELS_OF_LENS = 700
 _FEWEST_LENSES = 200
 # Windows of the field each way, if six lenses fall into each.
 _WINDOWS = np.array([8, 6])
+# Terms of third order in the field.
+_WINDOW_TERMS = count_terms(3)
 #: [radius] Disc in the middle in which the light of a lens is measured, on scenes and white images.
 CORES = (0.6, 0.5)
 # Least light of a plane over that in the middle, and light through the cutting disc behind it.
@@ -51,30 +52,25 @@ CLIPPED_PIXELS = 20
 class Sample(NamedTuple):
     """Pixels (p,) of lenses (n,)."""
 
-    lattice: Lattice
-    centres: Array  # (n, 2) [px]
+    indices: Integers  # (n, 2) of the lattice
+    field: Array  # (n, 2) places of the lenses in the field
     window: Integers  # (n,) of the field that each lens lies in
+    window_terms: Array  # (windows, 10) `field_monomials` of the mean place of its lenses
     lens: Integers  # (p,) which a pixel belongs to
     x: Array  # (p,) [px] from its centre
     y: Array  # (p,) [px]
     value: Array  # (p,) luminance
+    clipping: float  # luminance from which on pixels count as clipped; infinite for white images
 
     @property
     def windows(self) -> int:
         """Number of windows."""
-        return int(self.window.max()) + 1
-
-    @property
-    def middle(self) -> Array:
-        """(windows, 2) mean centre [px] of the lenses of each window, of which each has some."""
-        count = np.bincount(self.window)
-        return np.stack(
-            [np.bincount(self.window, self.centres[:, axis]) / count for axis in (0, 1)], axis=1
-        )
+        return len(self.window_terms)
 
     def evaluate(self, gain: GainMap) -> Array:
         """(3, p) relative light of each pixel, distance on the profile [px], share not cut off."""
-        return gain.evaluate(gain.describe(self.centres, self.lattice), self.lens, self.x, self.y)
+        lenses = gain.describe(self.field)
+        return gain.evaluate(lenses, self.lens, self.x, self.y)
 
     def select(self, pixels: Integers) -> Sample:
         """Some of the pixels."""
@@ -84,16 +80,16 @@ class Sample(NamedTuple):
 
     def add(self, values: Array) -> Array:
         """(n,) sums over the pixels of each lens."""
-        return np.bincount(self.lens, values, len(self.centres))
+        return np.bincount(self.lens, values, len(self.field))
 
 
 def draw_sample(
-    lattice: Lattice, picture: Singles | StackedCrops, pixels: float, scene: bool
+    lattice: Lattice, picture: Singles | StackedCrops, pixels: float, scene: bool, step: int = 1
 ) -> Sample:
     """Sample of the lenses of a flat, or of crops of it, with about so many pixels.
 
-    `picture` is the square root of the luminance. Of large lenses rows and columns are left out; of
-    scenes every other row, as their content differs little from row to row.
+    `picture` is the square root of the luminance. Of large lenses rows and columns are left out;
+    with a `step` of 2 every other row, as the content of scenes differs little from row to row.
     """
     crops = StackedCrops.of(picture)
     cell = Cell.of(lattice)
@@ -101,25 +97,25 @@ def draw_sample(
     stride = max(1, int(math.sqrt(area / _PIXELS_OF_LENS)))
     margin = cell.circumradius + 1
     wanted = max(pixels * stride**2 / area, _FEWEST_LENSES)
-    if crops.size == lattice.image_size:
-        places = centres = sample_lenses(lattice, margin, wanted)[1]
-    else:
-        _, centres, crop = crops.lenses(lattice, margin)
-        chosen = sample_mask(len(centres), wanted / max(len(centres), 1))
-        centres, places = centres[chosen], (centres - crops.offsets[crop])[chosen]
+    indices, centres, crop = crops.lenses(lattice, margin)
+    chosen = sample_mask(len(centres), wanted / max(len(centres), 1))
+    centres = centres[chosen]
+    places = centres - crops.offsets[crop[chosen]]
     shrink = min(1.0, math.sqrt(len(centres) / (6 * _WINDOWS.prod())))
     shape = np.maximum(1, _WINDOWS * shrink).astype(int)
     column, row = np.minimum((centres + 0.5) / lattice.image_size * shape, shape - 1).astype(int).T
     window = np.unique(row * shape[0] + column, return_inverse=True)[1].ravel()
+    count = np.bincount(window)
+    middle = np.column_stack([np.bincount(window, way) / count for way in centres.T])
     # Other pixels are left out in each lens.
-    rows = stride * (1 + scene)
+    rows = stride * step
     number = np.arange(len(places))
     first = np.ceil(places - cell.circumradius).astype(int) + np.column_stack(
         [number // stride % stride, number % rows]
     )
     side = int(2 * cell.circumradius) + 1
     x, y = (
-        first[:, axis, None] + np.arange(0, side, step) for axis, step in ((0, stride), (1, rows))
+        first[:, axis, None] + np.arange(0, side, every) for axis, every in ((0, stride), (1, rows))
     )
     dx = x - places[:, :1]
     dy = y - places[:, 1:]
@@ -128,7 +124,11 @@ def draw_sample(
         inside &= (across * dx)[:, None, :] + (down * dy)[:, :, None] <= 0.5
     lens, row, column = np.nonzero(inside)
     value = crops.picture[y[lens, row], x[lens, column]].astype(np.float64) ** 2
-    return Sample(lattice, centres, window, lens, dx[lens, column], dy[lens, row], value)
+    field = lattice.field_place(centres)
+    terms = field_monomials(lattice.field_place(middle), _WINDOW_TERMS)
+    clipping = CLIPPED_LIGHT * float(value.max()) if scene else math.inf
+    places_in = (lens, dx[lens, column], dy[lens, row])
+    return Sample(indices[chosen], field, window, terms, *places_in, value, clipping)
 
 
 class Residuals(NamedTuple):
@@ -153,13 +153,6 @@ class Residuals(NamedTuple):
         """
         sums: Array = np.bincount(self.ring, values * (1 - self.part), rings)
         return sums + np.bincount(self.ring + 1, values * self.part, rings)
-
-
-def clipping_luminance(value: Array, scene: bool) -> float:
-    """Luminance at which pixels of a scene count as clipped; infinite for white images."""
-    if scene:
-        return CLIPPED_LIGHT * float(value.max())
-    return math.inf
 
 
 def collect_residuals(sample: Sample, gain: GainMap, scene: bool, largest: Array) -> Residuals:
@@ -197,9 +190,8 @@ def _fit_lens_lights(
     own = sample.select(inside)
     s = light[inside]
     v = own.value
-    clipping = clipping_luminance(sample.value, scene)
     count = own.add(np.ones_like(v))
-    clipped = own.add((v >= clipping).astype(np.float64))
+    clipped = own.add((v >= sample.clipping).astype(np.float64))
     total = own.add(s * v)
     whole = own.add(s * s)
     good = (count >= 4) & (total > 0) & (clipped * CLIPPED_PIXELS <= count)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -151,14 +151,14 @@ class Distortion(Frozen):
             ]
         return columns
 
-    def updated(self, change: Mapping[str, Floats]) -> Distortion:
-        """The distortion after a least-squares step `change` of `"k1"` or `"general"`, as in
-        `derivatives`.
-        """
+    def updated(self, names: Sequence[str], change: Floats) -> Distortion:
+        """The distortion after a change (p,) of `"k1"` or `"general"`, as in `derivatives`."""
         general = self.general
-        if general is not None and "general" in change:
-            general = general + np.reshape(change["general"], general.shape)
-        k1 = self.k1 + float(change["k1"][0]) if "k1" in change else self.k1
+        k1 = self.k1
+        if "k1" in names:
+            k1 += float(change[names.index("k1")])
+        if general is not None and "general" in names:
+            general = general + change[-general.size :].reshape(general.shape)
         return Distortion(self.centre, k1, self.k2, self.reach, general, self.middle)
 
     def _general(self, straight: Floats) -> Floats | float:

@@ -4,7 +4,7 @@ distortion.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -160,6 +160,11 @@ class Lattice(Frozen):
         return float(np.linalg.norm(self.steps @ self.basis, axis=1).mean())
 
     @property
+    def reach(self) -> float:
+        """Half the diagonal of the flat [px]."""
+        return float(np.hypot(*self.image_size) / 2)
+
+    @property
     def middle(self) -> Integers:
         """(2,) index of the lens nearest to the middle of the flat."""
         middle = (np.array(self.image_size) - 1) / 2
@@ -219,6 +224,31 @@ class Lattice(Frozen):
     def _centres(self) -> Floats:
         return self.points(self._indices)
 
+    def select_whole(self, margin: float) -> tuple[Integers, Floats]:
+        """Indices (n, 2) and centres (n, 2) of lenses at least `margin` px inside the flat."""
+        centres = self.centres()
+        width, height = self.image_size
+        x, y = centres.T
+        # Comparing two columns, and `take`, are several times as fast as comparing and indexing
+        # rows of two.
+        keep = np.flatnonzero(
+            (x >= margin) & (x <= width - 1 - margin) & (y >= margin) & (y <= height - 1 - margin)
+        )
+        return self._indices.take(keep, 0), centres.take(keep, 0)
+
+    def select_in_rectangle(self, low: Floats, high: Floats) -> Integers:
+        """(n, 2) indices of the lenses with centres in a rectangle of the flat."""
+        # A grid of positions, as a distorted lattice has no straight borders.
+        share = np.linspace(0, 1, 5)
+        x, y = np.meshgrid(*(low[axis] + share * (high[axis] - low[axis]) for axis in (0, 1)))
+        bounds = self.to_index(np.column_stack([x.ravel(), y.ravel()]))
+        least = np.floor(bounds.min(0)).astype(np.int64) - 1
+        most = np.ceil(bounds.max(0)).astype(np.int64) + 1
+        i, j = np.meshgrid(np.arange(least[0], most[0] + 1), np.arange(least[1], most[1] + 1))
+        index = np.column_stack([i.ravel(), j.ravel()])
+        centres = self.points(index)
+        return index[((centres >= low) & (centres <= high)).all(1)]
+
     def with_radius(self, radius: float) -> Lattice:
         """The same lenses with another usable radius [px]."""
         other = replace(self, radius=radius)
@@ -250,6 +280,10 @@ class Lattice(Frozen):
             np.add(column, self.origin[axis], out=straight[..., axis])
         return straight if self.distortion is None else self.distortion.apply(straight)
 
+    def field_place(self, points: Floats) -> Floats:
+        """(n, 2) flat positions [px] from the middle of the flat, in half diagonals."""
+        return np.asarray((points - (np.array(self.image_size) - 1) / 2) / self.reach)
+
     def derivatives(self, index: Array, orders: Collection[str]) -> tuple[list[str], Floats]:
         """Names of origin, basis and the parameters `orders` of the distortion; derivatives (n, 2,
         p) of centres.
@@ -262,6 +296,13 @@ class Lattice(Frozen):
             names += [name for name, _ in found if name in orders]
             columns += [values for name, values in found if name in orders]
         return names, np.stack(columns, axis=2)
+
+    def moved(self, change: Floats, names: Sequence[str] = ()) -> Lattice:
+        """The lattice after a change (p,) of origin, basis and distortion, as in `derivatives`."""
+        straight = change[:6].reshape(3, 2)
+        bend = self.distortion and self.distortion.updated(names[6:], change[6:])
+        origin = self.origin + straight[0]
+        return replace(self, origin=origin, basis=self.basis + straight[1:], distortion=bend)
 
     def to_index(self, points: ArrayLike) -> Floats:
         """(n, 2) real-valued lattice indices of flat positions `points` (n, 2) [px]."""

@@ -18,30 +18,15 @@ __all__ = [
     "find_lit_lenses",
     "sample_lenses",
     "sample_mask",
-    "select_whole_lenses",
 ]
 
 #: Reads a rectangle of a flat, (height, width) float32, given its x, y, width and height [px].
 ReadCrop = Callable[[int, int, int, int], Singles]
 
 
-def select_whole_lenses(lattice: Lattice, margin: float) -> tuple[Integers, Floats]:
-    """Indices (n, 2) and centres (n, 2) of lenses at least `margin` px inside the flat."""
-    centres = lattice.centres()
-    indices = lattice.indices()
-    width, height = lattice.image_size
-    x, y = centres.T
-    # Comparing two columns, and `take`, are several times as fast as comparing and indexing rows of
-    # two.
-    keep = np.flatnonzero(
-        (x >= margin) & (x <= width - 1 - margin) & (y >= margin) & (y <= height - 1 - margin)
-    )
-    return indices.take(keep, 0), centres.take(keep, 0)
-
-
 def sample_lenses(lattice: Lattice, margin: float, wanted: float) -> tuple[Integers, Floats]:
-    """About `wanted` of `select_whole_lenses`, evenly spread."""
-    indices, centres = select_whole_lenses(lattice, margin)
+    """About `wanted` of `Lattice.select_whole`, evenly spread."""
+    indices, centres = lattice.select_whole(margin)
     rows = np.flatnonzero(sample_mask(len(indices), wanted / max(len(indices), 1)))
     return indices.take(rows, 0), centres.take(rows, 0)
 
@@ -90,31 +75,15 @@ class StackedCrops:
         Their centres in the picture are `centres - offsets[crop]`.
         """
         if self.size == lattice.image_size:
-            whole = select_whole_lenses(lattice, margin)
+            whole = lattice.select_whole(margin)
             return (*whole, np.zeros(len(whole[0]), np.int64))
+        last = np.array(self.size) - 1 - margin
         inside = [
-            _lenses_in_rectangle(
-                lattice, corner + margin, corner + np.array(self.size) - 1 - margin
-            )
-            for corner in self.corners
+            lattice.select_in_rectangle(corner + margin, corner + last) for corner in self.corners
         ]
         crop = np.repeat(np.arange(len(self)), [len(index) for index in inside])
         indices = np.concatenate(inside)
         return indices, lattice.points(indices), crop
-
-
-def _lenses_in_rectangle(lattice: Lattice, low: Floats, high: Floats) -> Integers:
-    """(n, 2) indices of the lenses with centres in a rectangle."""
-    # A grid of positions, as a distorted lattice has no straight borders.
-    share = np.linspace(0, 1, 5)
-    x, y = np.meshgrid(*(low[axis] + share * (high[axis] - low[axis]) for axis in (0, 1)))
-    bounds = lattice.to_index(np.column_stack([x.ravel(), y.ravel()]))
-    least = np.floor(bounds.min(0)).astype(np.int64) - 1
-    most = np.ceil(bounds.max(0)).astype(np.int64) + 1
-    i, j = np.meshgrid(np.arange(least[0], most[0] + 1), np.arange(least[1], most[1] + 1))
-    index = np.column_stack([i.ravel(), j.ravel()])
-    centres = lattice.points(index)
-    return index[((centres >= low) & (centres <= high)).all(1)]
 
 
 def find_lit_lenses(

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..runtime.arrays import Array, Floats
-from .distortion import Distortion
+from .lattice import Lattice
+from .standard_errors import LatticeErrors, Residuals
 
 __all__ = [
     "MAD_TO_SIGMA",
@@ -42,15 +43,19 @@ _MEDIAN_SQUARE = 1.386
 class LatticeFit:
     """A fitted lattice and how its microimages agree with it."""
 
-    origin: Floats  # (2,) [px]
-    basis: Floats  # (2, 2) [px]
+    lattice: Lattice
     residual_rms: float  # [px] robust RMS distance of single microimages from the lattice
-    # [px] standard error of a centre, RMS over the flat, from the scatter of the microimages
-    uncertainty: float
     lenses_used: int  # microimages of positive weight
     # [px] RMS distance over the flat of the lattices of two halves of the microimages
     half_difference: float
-    distortion: Distortion | None = None
+    errors: LatticeErrors | None = None  # None where the lattice is the first one
+    residuals: Residuals | None = None  # of single microimages, in white images
+    # Disc that cuts microimages (mechanical vignetting), where there is one, as `GainMap.cut`.
+    cut: Floats | None = None
+    # [px] RMS distance from the first lattice, less that due to distortion and cut microimages
+    displacement: float = 0.0
+    # Reason why the centres may be others, as those of the disc that cuts the microimages.
+    doubt: str | None = None
 
 
 def robust_sigma(values: NDArray[np.floating]) -> float:

@@ -17,11 +17,10 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from ..camera.calibration import Calibration
-from ..gain.gain_map import field_place, nearest_half
+from ..gain.gain_map import nearest_half
 from ..images.mosaic import equalise_mosaic
 from ..images.preprocessing import luminance
 from ..lattice.cell import Cell
-from ..lattice.lens_subset import select_whole_lenses
 from ..lattice.robust_fit import MAD_TO_SIGMA
 from ..runtime.arrays import evenly
 
@@ -334,7 +333,7 @@ def _average_tiles(
     lattice = camera.lattice
     types = camera.lens_types
     cell = Cell.of(lattice)
-    indices, centres = select_whole_lenses(lattice, cell.circumradius + 2)
+    indices, centres = lattice.select_whole(cell.circumradius + 2)
     kinds = (
         np.zeros(len(indices), np.int64) if types is None else types.of(indices).astype(np.int64)
     )
@@ -404,7 +403,7 @@ def _average(
     filled, key, number = np.unique(key, return_inverse=True, return_counts=True)
     measured = (value[inside], *offset[inside].T)
     mean, *places = (np.bincount(key.ravel(), values) / number for values in measured)
-    place = field_place(centres.mean(0)[None], camera.lattice)[0]
+    place = camera.lattice.field_place(centres.mean(0)[None])[0]
     return _Tile(
         place,
         typical,

@@ -1,3 +1,3 @@
 """Lattice of scene captures: from a first lattice and the edges between microimages, for
-`lfcal.lattice_fit`.
+`lfcal.lattice_search`.
 """

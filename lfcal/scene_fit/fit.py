@@ -13,17 +13,26 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..detection.search import Candidate
+from ..images.preprocessing import edge_strength, normalise_locally, sqrt_luminance
 from ..lattice.cell import Cell
 from ..lattice.distortion import Distortion
 from ..lattice.lattice import Lattice
-from ..lattice.lens_subset import sample_mask, select_whole_lenses
+from ..lattice.lens_subset import sample_mask
 from ..lattice.robust_fit import LatticeFit, field_rms
+from ..lattice.standard_errors import equal_weight_errors
 from ..runtime.arrays import Booleans, Floats, Integers, Singles
 from ..runtime.errors import CalibrationError
 from .irls import LensShifts, error_inflation, find_regular_ratio, solve_irls
 from .template import build_lens_equations
 
-__all__ = ["fit_scene", "measure_shifts", "select_lenses", "standard_error"]
+__all__ = [
+    "fit_lattice_to_scenes",
+    "fit_scene",
+    "measure_shifts",
+    "select_lenses",
+    "standard_error",
+]
 
 _FEWEST_LENSES = 12
 # Lenses for the first steps, and passes of these.
@@ -38,6 +47,29 @@ _SETTLED = 0.2
 _TILES = 36
 _NO_LATTICE = "the microimages do not keep to one lattice; give a sharper flat or a white image"
 _TOO_LITTLE = "the microimages show too little; give a brighter flat or a white image"
+
+
+def fit_lattice_to_scenes(lights: list[Singles], picture: Singles, start: Candidate) -> LatticeFit:
+    """Fit one or several scenes of luminance `lights` (h, w); `picture` is the root of their mean.
+
+    Only the edges at the rims are those of the lattice: brightness also shows the scene, gaps of
+    cut microimages, and where a camera has flattened its pictures with another white image.
+    """
+    found = start.lattice
+    # More than a rim, less than the scene in a lens.
+    window = 0.5 * found.pitch
+    rims = normalise_locally(
+        edge_strength(picture if len(lights) == 1 else sqrt_luminance(lights[0])), window
+    )
+    for light in lights[1:]:
+        rims += normalise_locally(edge_strength(sqrt_luminance(light)), window)
+    if len(lights) > 1:
+        rims /= np.float32(len(lights))
+    fit = fit_scene(rims, found)
+    if fit.residual_rms > 0.02 * found.pitch and not fit.half_difference < start.half_difference:
+        # Single lenses scatter too much: averages of whole tiles are the better measure.
+        return LatticeFit(found, fit.residual_rms, fit.lenses_used, start.half_difference)
+    return fit
 
 
 def fit_scene(picture: Singles, lattice: Lattice, most: int = 8000) -> LatticeFit:
@@ -89,9 +121,7 @@ def _summarise(fit: _Converged) -> LatticeFit:
     # what is left to go.
     error = float(np.hypot(max(error, differ / 2), fit.remaining))
     used = int((weight > 0).sum())
-    return LatticeFit(
-        lattice.origin, lattice.basis, scatter, error, used, differ, lattice.distortion
-    )
+    return LatticeFit(lattice, scatter, used, differ, equal_weight_errors(lattice, error))
 
 
 @dataclass(frozen=True)
@@ -152,11 +182,9 @@ class _Fitter:
         """
         start = lattice.basis
         path = Acceleration([], [])
-        # The lenses that agree best are selected at first, and once more when the fit has converged
-        # on them: selected at every step, they would alternate between parts of the flat that do
-        # not agree.
+        # The lenses that agree best are selected at first: selected at every step, they would
+        # alternate between parts of the flat that do not agree.
         weights: Floats | None = None
-        restarts = 1
         for turn in range(passes):
             if measured is None or turn > 0:
                 measured = measure_shifts(self.picture, lattice, self.indices, self.stride)
@@ -170,19 +198,11 @@ class _Fitter:
             short = _SETTLED * standard_error(shifts, change, weight, shifts.design)
             leap = path.leap(lattice, change, shifts.design)
             settled = max(field_rms(shifts.design, change), field_rms(shifts.design, leap)) < short
-            if settled and restarts and before is not None:
-                restarts -= 1
-                other, others = solve_irls(shifts)
-                if field_rms(shifts.design, other - change) > short:
-                    change = other
-                    weight = others
-                    path = Acceleration([], [])
-                    settled = False
-                    leap = path.leap(lattice, change, shifts.design)
             weights = np.zeros(len(self.indices))
             weights[shown] = weight
             from_here = lattice
-            lattice = move_lattice(lattice, change if settled or turn == passes - 1 else leap)
+            last = settled or turn == passes - 1
+            lattice = lattice.moved((change if last else leap).ravel())
             if not np.abs(lattice.basis @ np.linalg.inv(start) - np.eye(2)).max() < 0.05:
                 raise CalibrationError(_NO_LATTICE)
             if settled:
@@ -234,14 +254,9 @@ class Acceleration:
         return (further * min(1.0, 10 * plain / max(length, 1e-300))).reshape(3, 2)
 
 
-def move_lattice(lattice: Lattice, change: Floats) -> Lattice:
-    """The lattice after a change (3, 2) of origin and basis."""
-    return replace(lattice, origin=lattice.origin + change[0], basis=lattice.basis + change[1:])
-
-
 def select_lenses(lattice: Lattice, most: int) -> Integers:
     """Indices of about `most` whole lenses, evenly spread."""
-    indices, _ = select_whole_lenses(lattice, Cell.of(lattice).circumradius + 1)
+    indices, _ = lattice.select_whole(Cell.of(lattice).circumradius + 1)
     indices = indices[sample_mask(len(indices), most / max(len(indices), 1))]
     if len(indices) < _FEWEST_LENSES:
         raise CalibrationError(

@@ -18,19 +18,34 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..detection.search import Candidate
+from ..images.preprocessing import soften_mask
 from ..lattice.distortion import GENERAL_TERMS, Distortion
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops
-from ..lattice.robust_fit import SIGNIFICANT, TUKEY_CUTOFF, field_rms, robust_sigma, tukey_weights
+from ..lattice.robust_fit import (
+    SIGNIFICANT,
+    TUKEY_CUTOFF,
+    LatticeFit,
+    field_rms,
+    robust_sigma,
+    tukey_weights,
+)
 from ..lattice.standard_errors import LatticeErrors, Residuals
 from ..runtime.arrays import Floats, Singles
 from ..runtime.errors import CalibrationError
 from .kernel import Sums
-from .microimages import Microimages, cut_out
-from .two_discs import TwoDiscs, choose_lens, fit_two_discs
-from .vignetting import CatEye, compare_pixels, measure_centroid_offset, measure_narrowing
+from .microimages import (
+    Microimages,
+    compare_pixels,
+    cut_out,
+    measure_centroid_offset,
+    measure_narrowing,
+)
+from .spots import are_spots, fit_spots
+from .two_discs import TwoDiscs, fit_two_discs
 
-__all__ = ["WhiteFit", "fit_white", "refine_on_parts"]
+__all__ = ["fit_lattice_to_white_image", "fit_white", "refine_on_parts"]
 
 # Damping of a step by robust weights: for Tukey's biweight and normal residuals the ratio of the
 # means of second and first derivative is 0.76 / 0.91, a little more as pixels of several lenses
@@ -107,12 +122,6 @@ class Fit:
     step: Step
 
 
-def distortion_orders(lattice: Lattice) -> tuple[str, ...]:
-    """Names of the parameters that a lattice is distorted by."""
-    bend = lattice.distortion
-    return () if bend is None else ("k1",) if bend.general is None else ("general",)
-
-
 def add_distortion(lattice: Lattice, general: bool = False) -> Lattice:
     """The lattice with a distortion of zero strength if it has none, or with a `general` one."""
     bend = lattice.distortion or Distortion.zero(lattice.image_size)
@@ -133,11 +142,12 @@ def converge(lattice: Lattice, lenses: Microimages, orders: tuple[str, ...]) -> 
     start = lattice.basis
     for _ in range(10):
         sums = lenses.sums()
-        step = _solve_step(lattice, lenses, sums, orders)
-        lattice = _moved(lattice, step)
+        names, jacobian = lattice.derivatives(lenses.indices, orders)
+        step = _solve_step(names, jacobian, sums)
+        lattice = lattice.moved(step.change, names)
         if not np.abs(lattice.basis @ np.linalg.inv(start) - np.eye(2)).max() < _LARGEST_CHANGE:
             raise CalibrationError(_NO_LATTICE)
-        lenses = lenses.at(lattice).learn(sums, step.jacobian @ step.change, lattice)
+        lenses = lenses.learn(sums, step.jacobian @ step.change, lattice)
         if step.shift_rms < _CONVERGED * step.uncertainty:
             break
     return Fit(lattice, orders, lenses, step)
@@ -159,20 +169,8 @@ def explains_better(fit: Fit, orders: tuple[str, ...]) -> bool:
     return bool(size > SIGNIFICANT**2 and field_rms(jacobian, change) > _NEGLIGIBLE)
 
 
-def _moved(lattice: Lattice, step: Step) -> Lattice:
-    """The lattice after a step."""
-    by = {
-        name: step.change[[k for k, other in enumerate(step.names) if other == name]]
-        for name in step.names
-    }
-    bend = None if lattice.distortion is None else lattice.distortion.updated(by)
-    basis = lattice.basis + np.array([by["a1"], by["a2"]])
-    return replace(lattice, origin=lattice.origin + by["origin"], basis=basis, distortion=bend)
-
-
-def _solve_step(lattice: Lattice, lenses: Microimages, sums: Sums, orders: tuple[str, ...]) -> Step:
-    """The next step of all global parameters; the gains are eliminated (Schur complement)."""
-    names, jacobian = lattice.derivatives(lenses.indices, orders)
+def _solve_step(names: list[str], jacobian: Floats, sums: Sums) -> Step:
+    """The next step of the parameters `names`; the gains are eliminated (Schur complement)."""
     normal, right = _position_equations(sums)
     try:
         return Step(names, jacobian, normal, right, *_solve(jacobian, normal, right))
@@ -252,58 +250,85 @@ _PIXELS = 3.2e6
 _LEAST_CUT = 0.3
 # Robust squared residuals with two discs over those without, up to which the discs are believed.
 _MOST_COST = 0.995
-# [px] Centres with a larger standard error are doubtful.
-_MOST_ERROR = 0.03
 
 
-@dataclass(frozen=True)
-class WhiteFit:
-    """A fitted lattice and how its microimages agree with it."""
+def fit_lattice_to_white_image(picture: Singles | StackedCrops, start: Candidate) -> LatticeFit:
+    """Fit a white image (h, w), as made by `sqrt_luminance`, or crops of it.
 
-    lattice: Lattice
-    cat_eye: CatEye | None  # None where microimages are whole
-    doubt: str | None  # why the centres may be others, and what to do
-    residual_rms: float  # [px] robust RMS distance of single microimages from the lattice
-    errors: LatticeErrors  # as the scatter of the microimages implies
-    lenses_used: int
-    # [px] RMS distance over the flat between the fits of two halves of the microimages
-    half_difference: float
-    residuals: Residuals  # [px] of the single microimages that took part
+    The lattice of `start` is kept where the fit runs away.
+    """
+    found = start.lattice
+    if isinstance(picture, np.ndarray):
+        if are_spots(picture, found):
+            return fit_spots(picture, found)
+        picture = soften_mask(picture)
+    crops = StackedCrops.of(picture)
+    try:
+        white = fit_white(crops, found)
+    except CalibrationError:
+        raise
+    except ValueError as error:
+        # A distortion that no lattice can have.
+        raise CalibrationError(
+            "the microimages do not keep to one lattice; give a white image with more of them or "
+            "with less noise"
+        ) from error
+    assert white.residuals is not None
+    places = found.points(white.residuals.indices)
+    # A distortion that the start does not have is no error of it.
+    near = (
+        white.lattice if found.distortion is not None else replace(white.lattice, distortion=None)
+    )
+    distance = near.points(np.rint(near.to_index(places))) - places
+    # A fit that has run away.
+    if not np.sqrt((distance**2).sum(1).mean()) < 0.2 * found.pitch:
+        return LatticeFit(found, white.residual_rms, white.lenses_used, start.half_difference)
+    return replace(white, displacement=_displacement(white, places))
 
 
-def fit_white(tones: Singles | StackedCrops, lattice: Lattice) -> WhiteFit:
+def _displacement(white: LatticeFit, places: Floats) -> float:
+    """`LatticeFit.displacement` of a fit at `places` (n, 2) [px], centres on the first lattice.
+
+    The first lattice is straight and goes through the middles of the visible microimages; those of
+    cut ones lie off the centre by up to half of the cut.
+    """
+    lattice = white.lattice
+    centres = lattice.points(np.rint(lattice.to_index(places)))
+    cut = np.zeros(places.shape)
+    if white.cut is not None:
+        cut = white.cut[:2] + white.cut[2] * lattice.field_place(centres)
+    middle = places - places.mean(0)
+    base = np.linalg.qr(np.column_stack([np.ones(len(places)), middle / np.abs(middle).max()]))[0]
+    distance = base.T @ (centres - places)
+    cut = base.T @ cut
+    # Of two equal discs, the middle shifts by half of the cut.
+    share = np.clip(-(distance * cut).sum() / max(float((cut**2).sum()), 1e-300), 0, 0.5)
+    return float(np.sqrt(((distance + share * cut) ** 2).sum() / len(places)))
+
+
+def fit_white(tones: StackedCrops, lattice: Lattice) -> LatticeFit:
     """Fit a white image.
 
     CalibrationError if it has fewer than a dozen whole microimages, or if these do not lie on a
     lattice.
 
-    `tones` (h, w), or parts of such, is as made by `images.preprocessing.sqrt_luminance`; `lattice`
-    the start, right to a fraction of the pitch over the whole flat, whose orders of distortion are
+    `tones` are parts of a flat as made by `images.preprocessing.sqrt_luminance`; `lattice` is the
+    start, right to a fraction of the pitch over the whole flat, whose orders of distortion are
     kept. Used are at most as many lenses, evenly spread, as have `_PIXELS` in all.
     """
-    tones = StackedCrops.of(tones)
-    known = distortion_orders(lattice)
-    plain = converge(lattice, cut_out(tones, lattice, *_SEARCH), known)
+    plain = _fit_some(tones, lattice)
     fit = _select_orders(plain)
     discs = _find_cut(tones, plain, fit)
     if discs is not None:
-        return _summarise_discs(discs, plain.lenses)
-    if fit.lenses.pixels < _PIXELS:
-        lenses = cut_out(tones, fit.lattice, _PIXELS, 0, fit.lenses)
-        fit = _select_orders(converge(fit.lattice, lenses, fit.orders))
-    residuals = Residuals(
-        fit.lenses.indices.astype(np.int32), locate_lenses(fit).astype(np.float32)
-    )
-    return WhiteFit(
-        fit.lattice,
-        None,
-        _find_doubt(fit.lenses, fit.lattice),
-        fit.step.residual_rms,
-        LatticeErrors(tuple(fit.step.names), fit.step.covariance),
-        int((fit.step.weight > 0).sum()),
-        fit.step.half_difference(),
-        residuals,
-    )
+        found = discs.summarise()
+        lenses = plain.lenses
+    else:
+        if fit.lenses.pixels < _PIXELS:
+            lenses = cut_out(tones, fit.lattice, _PIXELS, 0, fit.lenses)
+            fit = _select_orders(converge(fit.lattice, lenses, fit.orders))
+        found = _summarise(fit)
+        lenses = fit.lenses
+    return replace(found, doubt=found.doubt or _find_doubt(lenses.at(found.lattice)))
 
 
 def refine_on_parts(tones: StackedCrops, lattice: Lattice) -> Lattice:
@@ -312,8 +337,18 @@ def refine_on_parts(tones: StackedCrops, lattice: Lattice) -> Lattice:
     `tones` are square roots of the light; the lattice is right to a fraction of the pitch in these
     parts. Raises `CalibrationError` as `fit_white`.
     """
-    fit = converge(lattice, cut_out(tones, lattice, *_SEARCH), distortion_orders(lattice))
+    fit = _fit_some(tones, lattice)
     return _select_orders(fit).lattice
+
+
+def _fit_some(tones: StackedCrops, lattice: Lattice) -> Fit:
+    """A lattice fitted to some lenses, with the orders of distortion that it has already."""
+    lenses = cut_out(tones, lattice, *_SEARCH)
+    bend = lattice.distortion
+    orders: tuple[str, ...] = ()
+    if bend is not None:
+        orders = ("k1",) if bend.general is None else ("general",)
+    return converge(lattice, lenses, orders)
 
 
 def _try(fit: Fit, orders: tuple[str, ...]) -> Fit:
@@ -336,39 +371,32 @@ def _find_cut(tones: StackedCrops, plain: Fit, bent: Fit) -> TwoDiscs | None:
 
     `plain` has no distortion that is not known, `bent` has one if it is significant, of any kind.
     """
-    narrowing, error = measure_narrowing(bent.lenses, bent.lattice)
+    narrowing, error = measure_narrowing(bent.lenses)
     # A cut by one pixel narrows microimages by 0.2 px.
     if narrowing < max(_NEGLIGIBLE, SIGNIFICANT * error):
         return None
-    discs = fit_two_discs(cut_out(tones, plain.lattice, *_DISCS, plain.lenses), plain.lattice)
-    if discs is None:
-        return None
-    discs = choose_lens(discs)
-    # Where nothing is cut, in the middle, centroids are those of the lenses.
-    beside = measure_centroid_offset(plain.lenses, discs.lens_lattice())
-    astray = beside > max(_CENTROIDS, measure_centroid_offset(plain.lenses, plain.lattice))
+    lenses = cut_out(tones, plain.lattice, *_DISCS, plain.lenses)
+    discs = fit_two_discs(lenses, plain.lattice)
     # A disc that stays outside the microimages cuts nothing.
-    if astray or discs.depth < _LEAST_CUT or not _explains_more(discs, plain, bent):
+    if discs is None or discs.depth < _LEAST_CUT:
         return None
-    return discs
-
-
-def _explains_more(discs: TwoDiscs, plain: Fit, bent: Fit) -> bool:
-    """Whether two discs explain the pixels better than whole microimages of any profile.
-
-    The whole microimages may be distorted.
-    """
-    by_discs = discs.residuals(plain.lenses)
-    most = (TUKEY_CUTOFF * robust_sigma(by_discs)) ** 2
-    cost = [float(np.minimum(by_discs**2, most).mean())]
+    # Two discs must explain the pixels better than whole microimages of any profile.
+    residuals = [discs.residuals(plain.lenses)]
     for fit in (plain, bent):
         residual, inside, _ = compare_pixels(fit.lenses)
-        cost.append(float(np.minimum(residual[inside] ** 2, most).mean()))
-    return cost[0] < _MOST_COST * min(cost[1:])
+        residuals.append(residual[inside])
+    most = (TUKEY_CUTOFF * robust_sigma(residuals[0])) ** 2
+    by_discs, *whole = (float(np.minimum(one**2, most).mean()) for one in residuals)
+    if not by_discs < _MOST_COST * min(whole):
+        return None
+    # Where nothing is cut, in the middle, centroids are those of the lenses.
+    usual = measure_centroid_offset(plain.lenses)
+    beside = measure_centroid_offset(plain.lenses.at(discs.lens_lattice))
+    return None if beside > max(_CENTROIDS, usual) else discs
 
 
-def _find_doubt(lenses: Microimages, lattice: Lattice) -> str | None:
-    offset = measure_centroid_offset(lenses, lattice)
+def _find_doubt(lenses: Microimages) -> str | None:
+    offset = measure_centroid_offset(lenses)
     if not offset > _CENTROIDS:
         return None
     return (
@@ -378,28 +406,15 @@ def _find_doubt(lenses: Microimages, lattice: Lattice) -> str | None:
     )
 
 
-def _summarise_discs(discs: TwoDiscs, lenses: Microimages) -> WhiteFit:
-    lattice = discs.lens_lattice()
-    errors = discs.errors()
-    doubt = discs.doubt
-    error = float(np.sqrt((errors.of_centres(lattice) ** 2).mean()))
-    if error > _MOST_ERROR and doubt is None:
-        doubt = (
-            f"microimages are the overlap of two discs with soft edges ({discs.blur[0]:.2f} px): "
-            f"their centres are known to {error:.2f} px only; close the aperture of the main lens "
-            "for a white image without vignetting"
-        )
-    doubt = doubt or _find_doubt(lenses, lattice)
-    distance = np.hypot(*discs.offsets.T)
-    near = distance[distance < 5 * np.median(distance)]
-    residuals = Residuals(discs.indices.astype(np.int32), discs.offsets.astype(np.float32))
-    return WhiteFit(
-        lattice,
-        discs.cut,
-        doubt,
-        float(np.sqrt((near**2).mean())),
-        errors,
-        len(near),
-        discs.half_difference(),
-        residuals,
+def _summarise(fit: Fit) -> LatticeFit:
+    """The fit of whole microimages, with the residuals of single ones."""
+    step = fit.step
+    offsets = locate_lenses(fit)
+    return LatticeFit(
+        fit.lattice,
+        step.residual_rms,
+        int((step.weight > 0).sum()),
+        step.half_difference(),
+        LatticeErrors(tuple(step.names), step.covariance),
+        Residuals(fit.lenses.indices.astype(np.int32), offsets.astype(np.float32)),
     )

@@ -65,16 +65,6 @@ def _clip_rows(centre, reach, side):
     return max(math.ceil(centre - reach), 0), min(math.floor(centre + reach) + 1, side)
 
 
-@njit(error_model="numpy", fastmath=FAST, forceinline=True)
-def _add_to_band(band, ring, weight, residual, angle):
-    band[ring, 0] += weight
-    band[ring, 1] += weight * residual
-    band[ring, 2] += weight * residual * angle
-    band[ring, 3] += weight * angle * angle
-    band[ring, 4] += residual * residual
-    band[ring, 5] += 1
-
-
 @kernel(error_model="numpy", share=lambda windows, cell, rings, sums: len(sums.band), fastmath=FAST)
 def add_lenses(begin, end, windows, cell, rings, sums):
     """Add up the pixels in the cells of all lenses; a chunk of them goes into each band."""
@@ -128,7 +118,13 @@ def add_lenses(begin, end, windows, cell, rings, sums):
                     ):
                         continue
                     weight *= (1 - chi / _MOST) * (1 - chi / _MOST)
-                    _add_to_band(band, int(place + 0.5), weight, residual, angle)
+                    nearest = int(place + 0.5)
+                    band[nearest, 0] += weight
+                    band[nearest, 1] += weight * residual
+                    band[nearest, 2] += weight * residual * angle
+                    band[nearest, 3] += weight * angle * angle
+                    band[nearest, 4] += residual * residual
+                    band[nearest, 5] += 1
                     along = -(table[ring, 1] * here + table[up, 1] * after) / far
                     gx = along * dx
                     gy = along * dy

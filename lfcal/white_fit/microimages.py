@@ -12,19 +12,26 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from ..gain.light_polynomial import fit_light_slope
+from ..gain.gain_map import fit_light_slope
 from ..images.stack import clipping_level
 from ..lattice.cell import Cell
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops, find_lit_lenses, sample_mask
 from ..lattice.robust_fit import SIGNIFICANT
-from ..runtime.arrays import ENOUGH_PIXELS, Floats, Integers, Singles
+from ..runtime.arrays import ENOUGH_PIXELS, Booleans, Floats, Integers, Singles, evenly
 from ..runtime.errors import CalibrationError
 from .kernel import Rings, Sums, Windows, add_lenses
 
-__all__ = ["FEWEST_LENSES", "UNLIT", "Microimages", "cut_out"]
+__all__ = [
+    "UNLIT",
+    "Microimages",
+    "compare_pixels",
+    "cut_out",
+    "measure_centroid_offset",
+    "measure_narrowing",
+]
 
-FEWEST_LENSES = 12
+_FEWEST_LENSES = 12
 # [px] between rings of the profile: edges of discs are about 1 px wide.
 _RING_STEP = 0.125
 # Parts of the lenses that are summed in parallel: a fixed number, so that sums do not depend on
@@ -43,6 +50,10 @@ _FEW = 0.01
 UNLIT = 0.03
 # Pixels that a slope is measured on.
 _SLOPE_PIXELS = 2e5
+# Lenses that centroids are measured on.
+_CENTROID_LENSES = 300
+# Least slope of the profile, over the steepest one, of pixels that locate an edge.
+_STEEP = 0.1
 
 
 @dataclass(frozen=True)
@@ -53,6 +64,8 @@ class Microimages:
     light: Singles  # (n, k, k) squares of the flat around the lenses
     corners: Integers  # (n, 2) [px] flat coordinates of the first pixel of each
     centres: Floats  # (n, 2) [px]
+    field: Floats  # (n, 2) places of the centres in the field
+    reach: float  # [px] unit of `field`
     gain: Floats  # (n,) light of each lens over that of the profile
     slope: Floats  # (n, 2) [1/px] relative change of the gain within the microimage
     shade: Floats  # (n, 2) [1/px] slope of the gain without the light of the neighbours
@@ -103,7 +116,8 @@ class Microimages:
 
     def at(self, lattice: Lattice) -> Microimages:
         """The same with the centres of a lattice."""
-        return replace(self, centres=lattice.points(self.indices))
+        centres = lattice.points(self.indices)
+        return replace(self, centres=centres, field=lattice.field_place(centres))
 
     def thin(self, pixels: float) -> Microimages:
         """An even part of the lenses, with at most so many pixels in their windows."""
@@ -111,7 +125,7 @@ class Microimages:
 
     def select(self, rows: slice | Integers) -> Microimages:
         """Some of the lenses."""
-        of_lenses = ("indices", "light", "corners", "centres", "gain", "slope", "shade")
+        of_lenses = ("indices", "light", "corners", "centres", "field", "gain", "slope", "shade")
         return replace(self, **{name: getattr(self, name)[rows] for name in of_lenses})
 
     def places(self) -> tuple[Floats, Floats]:
@@ -142,14 +156,15 @@ class Microimages:
     def learn(self, sums: Sums, moved: Floats, lattice: Lattice) -> Microimages:
         """Gains, profile, weights and slopes that fit the pixels better.
 
-        They are updated after each step of the centres.
-
-        `sums` are those about this model, `moved` (n, 2) [px] is the step of the centres.
+        `sums` are those about this model, `moved` (n, 2) [px] is the step of the centres to those
+        of `lattice`.
         """
         explained = (sums.normal[:, :2, 2] * moved).sum(1)
         gain = (sums.right[:, 2] - explained) / np.maximum(sums.normal[:, 2, 2], 1e-30)
         lenses = replace(self, gain=self.gain * (1 + np.clip(gain, -0.5, 1))).learn_profile(sums)
-        lenses = replace(lenses, slope=fit_light_slope(lenses.gain, lenses.centres, lattice))
+        lenses = lenses.at(lattice)
+        slope = fit_light_slope(lenses.gain, lenses.field, lenses.reach)
+        lenses = replace(lenses, slope=slope)
         return replace(lenses, shade=lenses.measure_shade(lattice))
 
     def learn_profile(self, sums: Sums) -> Microimages:
@@ -241,17 +256,18 @@ def cut_out(
     bright = np.zeros(0, dtype=bool)
     if len(gain):
         bright = gain > UNLIT * np.quantile(gain, 0.95)
-    if bright.sum() < FEWEST_LENSES:
+    if bright.sum() < _FEWEST_LENSES:
         raise CalibrationError(
             f"only {bright.sum()} whole microimages of {lattice.pitch:.1f} px pitch are lit on the "
-            f"flat, at least {FEWEST_LENSES} are needed; give the whole sensor"
+            f"flat, at least {_FEWEST_LENSES} are needed; give the whole sensor"
         )
     indices = indices[bright]
     centres = centres[bright]
     gain = gain[bright]
     light = light[bright]
     corners = (corners + offset)[bright]
-    slope = fit_light_slope(gain, centres, lattice)
+    field = lattice.field_place(centres)
+    slope = fit_light_slope(gain, field, lattice.reach)
     rings = int(cell.circumradius / _RING_STEP) + 3
     saturation = clipping_level(light) if known is None else known.saturation
     lenses = Microimages(
@@ -259,6 +275,8 @@ def cut_out(
         light,
         corners,
         centres,
+        field,
+        lattice.reach,
         gain,
         slope,
         np.zeros_like(slope),
@@ -329,3 +347,83 @@ def _fit_shade(slopes: Floats, weight: Floats, centres: Floats, lattice: Lattice
         return np.zeros((3, 2))
     middle = (np.array(lattice.image_size) - 1) / 2
     return np.vstack([found[:2] - found[2] * middle, found[2] * np.eye(2)])
+
+
+def compare_pixels(lenses: Microimages) -> tuple[Floats, Booleans, Floats]:
+    """Pixels of windows against the model.
+
+    Residuals (n, k, k) over the gains; which pixels lie in cells and are not clipped; and slope of
+    the profile there [1/px] and weight, (2, n, k, k).
+    """
+    x, y = lenses.places()
+    far = np.maximum(np.hypot(x, y), 1e-6)
+    step, table, saturation = lenses.rings
+    level, slope, weight, own, harmonic = (
+        np.interp(far / step, np.arange(len(table)), c) for c in table.T
+    )
+    (shade_x, shade_y), (slope_x, slope_y) = (
+        lenses.shade.T[..., None, None],
+        lenses.slope.T[..., None, None],
+    )
+    model = level + own * (shade_x * x + shade_y * y) + harmonic * (1 - 8 * (x * y / far**2) ** 2)
+    inside = lenses.light < saturation
+    for across, down in lenses.cell.normals:
+        inside &= across * x + down * y <= 0.5
+    tilt = 1 + slope_x * x + slope_y * y
+    return (
+        lenses.light / (lenses.gain[:, None, None] * tilt) - model,
+        inside,
+        np.stack([slope, weight]),
+    )
+
+
+def measure_narrowing(lenses: Microimages) -> tuple[float, float]:
+    """By how much microimages in the corners are narrower along the field than across [px].
+
+    Also returns the error.
+
+    Amplitude of `cos(2 * angle)` of the radius, angles from the direction of the field, growing
+    with the field: neither a lattice nor its distortion, neither blur nor the shape of pixels give
+    whole discs any.
+    """
+    few = lenses.thin(ENOUGH_PIXELS)
+    x, y = few.places()
+    far = np.maximum(np.hypot(x, y), 1e-6)
+    residual, inside, (slope, weight) = compare_pixels(few)
+    used = inside & (far < few.cell.inradius) & (residual**2 * weight < SIGNIFICANT**2)
+    used &= np.abs(slope) > _STEEP * np.abs(few.rings.table[:, 1]).max()
+    field = few.field[:, :, None, None]
+    reach = np.maximum(np.hypot(field[:, 0], field[:, 1]), 1e-6)
+    along = (field[:, 0] * x + field[:, 1] * y) / (reach * far)
+    response = slope * reach * (2 * along**2 - 1)
+    information = float((used * weight * response**2).sum())
+    if information <= 0:
+        return 0.0, np.inf
+    return float((used * weight * response * residual).sum()) / information, information**-0.5
+
+
+def measure_centroid_offset(lenses: Microimages) -> float:
+    """Distance [px] of plain centroids from the centres in the middle of the field.
+
+    It is 0 if there are too few microimages.
+
+    What grows with the field is left out: a disc that cuts microimages moves their centroids.
+    """
+    near = np.flatnonzero(np.hypot(*lenses.field.T) < 0.25)
+    near = near[evenly(len(near), _CENTROID_LENSES)]
+    if len(near) < 12:
+        return 0.0
+    x, y = lenses.places()
+    x = x[near]
+    y = y[near]
+    light = lenses.light[near]
+    field = lenses.field[near]
+    window = np.clip(lenses.cell.inradius + 0.5 - np.hypot(x, y), 0, 1)
+    light = window * np.clip(light - np.quantile(light, 0.05, axis=(1, 2))[:, None, None], 0, None)
+    total = np.maximum(light.sum((1, 2)), 1e-30)
+    offset = np.column_stack([(light * way).sum((1, 2)) / total for way in (x, y)])
+    field = field - field.mean(0)
+    growth = ((offset - np.median(offset, axis=0)) * field).sum() / max(
+        float((field**2).sum()), 1e-30
+    )
+    return float(np.hypot(*np.median(offset - growth * field, axis=0)))

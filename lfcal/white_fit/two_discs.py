@@ -13,16 +13,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from ..gain.gain_map import field_place
-from ..gain.light_polynomial import fit_light_slope
+from ..gain.gain_map import fit_light_slope
 from ..lattice.distortion import Distortion
 from ..lattice.lattice import Lattice
-from ..lattice.robust_fit import SIGNIFICANT, TUKEY_CUTOFF, biweight, robust_sigma
-from ..lattice.standard_errors import LatticeErrors
+from ..lattice.robust_fit import SIGNIFICANT, TUKEY_CUTOFF, LatticeFit, biweight, robust_sigma
+from ..lattice.standard_errors import LatticeErrors, Residuals
 from ..runtime.arrays import Floats, Integers
 from .disc_light import (
     BEND,
@@ -39,7 +39,6 @@ from .disc_light import (
     evaluate,
 )
 from .microimages import Microimages
-from .vignetting import CatEye
 
 __all__ = ["TwoDiscs", "choose_lens", "fit_two_discs"]
 
@@ -75,6 +74,8 @@ _MODEL_FAULT = 0.02
 # Pixels of the first two fits, and of the last one.
 _FIRST_PIXELS = (10_000, 20_000)
 _LAST_PIXELS = 150_000
+# [px] Centres with a larger standard error are doubtful.
+_MOST_ERROR = 0.03
 # [px] A distortion that is less in the corners moves centres by less than 0.01 px.
 _LEAST_BEND = 0.15
 # [standard errors] by which radii or shadings differ for sure.
@@ -144,18 +145,16 @@ class TwoDiscs:
         return np.exp(self.parameters[LOG_BLUR])
 
     @property
-    def cut(self) -> CatEye:
-        """The second disc, relative to the first."""
+    def cut(self) -> Floats:
+        """(5,) the second disc, relative to the first, as `GainMap.cut`."""
         own, other = self.parameters[OFFSET].reshape(2, 2)
-        growth = self.parameters[GROWTH]
-        return CatEye(
-            other - own, float(growth[1] - growth[0]), float(self.radius[1]), float(self.blur[1])
-        )
+        growth = np.diff(self.parameters[GROWTH])
+        return np.array([*(other - own), *growth, self.radius[1], self.blur[1]])
 
     @property
     def depth(self) -> float:
         """How far the second disc reaches into the first one in the corners of the field [px]."""
-        return float(self.radius[0] + abs(self.cut.growth) - self.radius[1])
+        return float(self.radius[0] + abs(self.cut[2]) - self.radius[1])
 
     def interchanged(self) -> TwoDiscs:
         """With the other disc as the lens."""
@@ -184,30 +183,47 @@ class TwoDiscs:
             math.sqrt(max(variance, 0.0)), fault
         )
 
+    @cached_property
     def lens_lattice(self) -> Lattice:
         """The lattice of the first disc."""
         return _lattice_of(self.lattice, self.parameters)
 
-    def errors(self) -> LatticeErrors:
-        """Standard errors of `lens_lattice`.
+    def summarise(self) -> LatticeFit:
+        """The lattice of the first disc, its standard errors, and what is doubtful about it.
 
         No model of the blur that both edges share is exact to two per cent.
         """
-        fault = (
-            _MODEL_FAULT
-            * self.covariance[:, CORRELATION]
-            / max(float(self.covariance[CORRELATION, CORRELATION]), 1e-12)
+        shared = self.covariance[:, CORRELATION]
+        fault = _MODEL_FAULT * shared / max(float(shared[CORRELATION]), 1e-12)
+        names, response = self._respond()
+        covariance = response @ (self.covariance + np.outer(fault, fault)) @ response.T
+        halves = response @ self.halves
+        errors, differences = (
+            LatticeErrors(names, table) for table in (covariance, np.outer(halves, halves))
         )
-        response = self._response()
-        return LatticeErrors(
-            self._names(), response @ (self.covariance + np.outer(fault, fault)) @ response.T
+        error, half_difference = (
+            float(np.sqrt((one.of_centres(self.lens_lattice) ** 2).mean()))
+            for one in (errors, differences)
         )
-
-    def half_difference(self) -> float:
-        """RMS distance over the flat of the lattices of two halves of the lenses [px]."""
-        change = self._response() @ self.halves
-        as_errors = LatticeErrors(self._names(), np.outer(change, change))
-        return float(np.sqrt((as_errors.of_centres(self.lens_lattice()) ** 2).mean()))
+        doubt = self.doubt
+        if error > _MOST_ERROR and doubt is None:
+            doubt = (
+                "microimages are the overlap of two discs with soft edges "
+                f"({self.blur[0]:.2f} px): their centres are known to {error:.2f} px only; close "
+                "the aperture of the main lens for a white image without vignetting"
+            )
+        distance = np.hypot(*self.offsets.T)
+        near = distance[distance < 5 * np.median(distance)]
+        return LatticeFit(
+            self.lens_lattice,
+            float(np.sqrt((near**2).mean())),
+            len(near),
+            half_difference,
+            errors,
+            Residuals(self.indices.astype(np.int32), self.offsets.astype(np.float32)),
+            self.cut,
+            doubt=doubt,
+        )
 
     def residuals(self, lenses: Microimages) -> Floats:
         """Residuals (m,) of the unclipped pixels in the cells of lenses on `lattice`.
@@ -219,37 +235,32 @@ class TwoDiscs:
             pixels = _choose_pixels(lenses, slope, self.lattice, lenses.light.size)
             residual, _, gain = pixels.compare(self.parameters, np.ones(len(pixels.light)))
             gains = lenses.gain * np.maximum(gain, _LEAST_GAIN)
-            slope = fit_light_slope(gains, lenses.centres, self.lattice)
+            slope = fit_light_slope(gains, lenses.field, lenses.reach)
         return residual * max(float(lenses.profile[0]), 1e-9)
 
-    def _names(self) -> tuple[str, ...]:
-        straight = ("origin", "origin", "a1", "a1", "a2", "a2")
-        if self.covariance[BEND, BEND] > 0:
-            return (*straight, "k1")
-        return straight
-
-    def _response(self) -> Floats:
-        """Derivative (p, 19) of the lattice parameters with the parameters of the discs.
+    def _respond(self) -> tuple[tuple[str, ...], Floats]:
+        """Names of the lattice parameters, and derivative (p, 19) with those of the discs.
 
         They are linear in the parameters of the first disc.
         """
-        names = self._names()
+        names: tuple[str, ...] = ("origin", "origin", "a1", "a1", "a2", "a2")
+        if self.covariance[BEND, BEND] > 0:
+            names = (*names, "k1")
+        here = self.lens_lattice
         moved = []
         for step in _STEP * np.eye(COUNT):
-            other, here = (
-                _lattice_of(self.lattice, p) for p in (self.parameters + step, self.parameters)
-            )
+            other = _lattice_of(self.lattice, self.parameters + step)
             change = [*(other.origin - here.origin), *(other.basis - here.basis).ravel()]
             if other.distortion and here.distortion and "k1" in names:
                 change.append(other.distortion.k1 - here.distortion.k1)
             moved.append(np.array(change) / _STEP)
-        return np.array(moved).T
+        return names, np.array(moved).T
 
 
 def _lattice_of(lattice: Lattice, p: Floats) -> Lattice:
     """The lattice of the first of two discs, displaced from a lattice by the parameters."""
     middle = (np.array(lattice.image_size) - 1) / 2
-    reach = float(np.hypot(*lattice.image_size) / 2)
+    reach = lattice.reach
     bend = lattice.distortion
     own = p[GROWTH][0]
     if p[BEND]:
@@ -268,7 +279,7 @@ def _lattice_of(lattice: Lattice, p: Floats) -> Lattice:
 
 
 def fit_two_discs(lenses: Microimages, lattice: Lattice) -> TwoDiscs | None:
-    """The two discs that explain the microimages best, in any order; None where there are none.
+    """The two discs that explain the microimages best, the lens first; None where there are none.
 
     `lenses` have been fitted without a cut, on `lattice`. First on few pixels without what only
     matters near the end, then on more, at last by Gauss-Newton steps on most of those near the
@@ -288,7 +299,7 @@ def fit_two_discs(lenses: Microimages, lattice: Lattice) -> TwoDiscs | None:
             # The gains of cut microimages had been fitted without a cut, and the slope of the light
             # with them.
             gains = lenses.gain[pixels.rows] * np.maximum(gain, _LEAST_GAIN)
-            slope[pixels.rows] = fit_light_slope(gains, lenses.centres[pixels.rows], lattice)
+            slope[pixels.rows] = fit_light_slope(gains, lenses.field[pixels.rows], lenses.reach)
         if lattice.distortion is None and abs(p[BEND]) < max(
             _LEAST_BEND, SIGNIFICANT * errors[BEND]
         ):
@@ -298,9 +309,10 @@ def fit_two_discs(lenses: Microimages, lattice: Lattice) -> TwoDiscs | None:
         p, covariance, offsets, halves = _finish(pixels, p, expected, spread, low, high)
     except (np.linalg.LinAlgError, ValueError):
         return None
-    return TwoDiscs(
+    found = TwoDiscs(
         lattice, p, covariance, lenses.radius, lenses.indices[pixels.rows], offsets, halves
     )
+    return choose_lens(found)
 
 
 def _start(lenses: Microimages) -> tuple[Floats, Floats]:
@@ -347,7 +359,6 @@ def _choose_pixels(
     If the discs are `known`, most of the pixels are near their edges.
     """
     rng = np.random.default_rng(0)
-    field = field_place(lenses.centres, lattice)
     # Most of those beside the edges are left out in the end.
     drawn = np.flatnonzero(
         rng.random(lenses.light.size) < (3 if known is None else 10) * number / lenses.light.size
@@ -364,7 +375,9 @@ def _choose_pixels(
         depth = [
             known[RADIUS][k]
             - np.hypot(
-                *(place - known[OFFSET][2 * k : 2 * k + 2] - known[GROWTH][k] * field[lens]).T
+                *(
+                    place - known[OFFSET][2 * k : 2 * k + 2] - known[GROWTH][k] * lenses.field[lens]
+                ).T
             )
             for k in (0, 1)
         ]
@@ -378,11 +391,10 @@ def _choose_pixels(
     light /= (
         lenses.gain[lens] * (1 + (slope[lens] * place).sum(1)) * max(float(lenses.profile[0]), 1e-9)
     )
-    reach = float(np.hypot(*lattice.image_size) / 2)
     rows, lens = np.unique(lens, return_inverse=True)
-    return _Pixels(
-        rows, place, lens, light, field[rows], _STEPS @ lattice.basis, lenses.radius, reach
-    )
+    field = lenses.field[rows]
+    steps = _STEPS @ lattice.basis
+    return _Pixels(rows, place, lens, light, field, steps, lenses.radius, lenses.reach)
 
 
 def _prior(p: Floats, expected: Floats, spread: Floats) -> tuple[Floats, Floats]:
@@ -508,7 +520,7 @@ def choose_lens(discs: TwoDiscs) -> TwoDiscs:
 
 
 def _state_doubt(discs: TwoDiscs, clash: bool) -> str:
-    apart = abs(discs.cut.growth)
+    apart = abs(discs.cut[2])
     why = "they are alike"
     if clash:
         why = "the smaller one is not the one that its shading is centred on"

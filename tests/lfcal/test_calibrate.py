@@ -233,9 +233,9 @@ def test_calibrate_works_with_one_blas_thread_and_leaves_two(monkeypatch):
     seen = []
     choose_block_size = downscale.choose_block_size
 
-    def record_threads(image):
+    def record_threads(image, has_mosaic):
         seen.append(_blas_threads())
-        return choose_block_size(image)
+        return choose_block_size(image, has_mosaic)
 
     monkeypatch.setattr(downscale, "choose_block_size", record_threads)
     with threadpool_limits(2, "blas"):

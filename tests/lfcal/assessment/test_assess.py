@@ -159,7 +159,7 @@ def test_the_evenness_is_that_of_the_light_that_the_page_draws(tilted, assessed)
     level = np.array([0.0, 0.2, 0.1])
     uneven = replace(assessed.calibration, gain_map=replace(gain, level=level))
     found = lfcal.assess(tilted[1], calibration=uneven)
-    light = uneven.gain_map.light(lattice.centres(), lattice)
+    light = uneven.gain_map.light(lattice.field_place(lattice.centres()))
     assert found.evenness.value == pytest.approx(100 * (light.max() / light.min() - 1), rel=0.08)
 
 

@@ -13,7 +13,7 @@ def test_large_white_image_is_placed_within_a_hundredth_pixel(whites, set_downsc
     set_downscale(large=3e5)
     basis = whites.turned(whites.HEXAGON, 45.3, 17)
     image, origin = whites.white_image(basis, (1103, 905))
-    assert downscale.choose_block_size(image) == 3
+    assert downscale.choose_block_size(image, False) == 3
     camera = lfcal.calibrate(image)
     assert camera.image_size == (1103, 905)
     assert whites.rms(whites.centre_errors(camera.lattice, origin, basis)) < 0.01
@@ -35,7 +35,7 @@ def test_distorted_lattice_is_scaled_from_averages_to_the_flat():
 
 
 def test_small_flat_is_not_averaged():
-    assert downscale.choose_block_size(np.zeros((1000, 1000), np.uint8)) == 1
+    assert downscale.choose_block_size(np.zeros((1000, 1000), np.uint8), False) == 1
 
 
 def test_only_white_images_are_searched_piece_by_piece(whites, shared):

@@ -1,4 +1,4 @@
-"""Gain, flattening and storage of gain maps of white images of known light."""
+"""Gain, flattening and storage of gain maps of white images of known light; fits of the light."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from click.testing import CliRunner
 import lfcal
 from lfcal import Lattice
 from lfcal.cli.main import main
-from lfcal.gain.gain_map import GainMap
+from lfcal.gain.gain_map import GainMap, fit_light, fit_light_slope
 from lfcal.gain.rows import RegionGain
 
 
@@ -114,3 +114,30 @@ def test_lit_cell_is_the_largest_square_inside_the_light(radius, share):
     distance = np.arange(80) * 0.25
     gain = GainMap.round(np.clip(radius + 0.5 - distance, 0, 1), 0.25, 9.5)
     assert gain.lit_cell(lattice) == pytest.approx(share, abs=0.02)
+
+
+_LATTICE = Lattice([10, 10], [[20, 0], [0, 20]], (1000, 800), 9)
+
+
+def _light(points):
+    x, y = _LATTICE.field_place(points).T
+    return np.exp(0.3 * x - 0.2 * y - 0.8 * (x * x + y * y) + 0.1 * x * y * y)
+
+
+def test_slope_is_that_of_the_light_even_if_a_tenth_of_the_lenses_are_dusty():
+    centres = _LATTICE.centres()
+    light = _light(centres)
+    rng = np.random.default_rng(5)
+    dusty = rng.random(len(light)) < 0.1
+    light[dusty] *= rng.uniform(0.1, 0.9, dusty.sum())
+    slope = fit_light_slope(light, _LATTICE.field_place(centres), _LATTICE.reach)
+    for axis, step in enumerate(np.eye(2)):
+        true = np.log(_light(centres + step) / _light(centres - step)) / 2
+        assert np.abs(slope[:, axis] - true).max() < 1e-6
+
+
+def test_few_lenses_have_no_slope():
+    centres = _LATTICE.centres()[:20]
+    field = _LATTICE.field_place(centres)
+    assert len(fit_light(np.ones(20), field)) == 1
+    assert not fit_light_slope(_light(centres), field, _LATTICE.reach).any()

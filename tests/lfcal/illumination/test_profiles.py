@@ -17,6 +17,7 @@ from lfcal.illumination.profiles import (
     fit_type_profiles,
     order_by_rims,
 )
+from lfcal.illumination.residuals import draw_sample
 
 _TYPES = LensTypes([[0, 1, 2], [2, 0, 1], [1, 2, 0]])
 _LATTICE = Lattice([10, 10], [[20, 0], [10, 17.3]], (600, 400), 9)
@@ -41,7 +42,7 @@ def _flat(gain: GainMap, contrast: float) -> np.ndarray:
 
 def _fit_types(picture: np.ndarray) -> GainMap:
     gain = GainMap.round(np.ones(60), _STEP, 9)
-    pixels = ProfilePixels.draw(picture, _LATTICE, gain, True)
+    pixels = ProfilePixels.of(draw_sample(_LATTICE, picture, 1e6, True, 2), gain)
     return fit_type_profiles(pixels, _LATTICE.radius, gain, _TYPES, True)
 
 
@@ -51,7 +52,8 @@ def test_profile_from_a_scene_is_even_in_the_middle(seed):
     scene = gaussian_filter(np.random.default_rng(seed).normal(0, 1, (340, 420)), 3.0)
     picture = (0.5 + 0.12 * scene / scene.std()).clip(0.05, 1).astype(np.float32)
     gain = GainMap.round(np.ones(100), 0.25, 20.0)
-    profile = fit_scene_profile(ProfilePixels.draw(picture, lattice, gain, True), gain)
+    pixels = ProfilePixels.of(draw_sample(lattice, picture, 1e6, True, 2), gain)
+    profile = fit_scene_profile(pixels, gain)
     # Pixel by pixel, the few in the middle of these 80 lenses are up to 40 % off.
     np.testing.assert_allclose(profile[:6] / np.median(profile[:60]), 1, atol=0.06)
 

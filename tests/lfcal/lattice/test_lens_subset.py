@@ -11,14 +11,13 @@ from lfcal.lattice.lens_subset import (
     StackedCrops,
     find_lit_lenses,
     sample_lenses,
-    select_whole_lenses,
 )
 
 
 @pytest.mark.parametrize("size", [(400, 300), (2400, 1800)])
 def test_sampled_lenses_are_whole_and_spread_over_every_period(size):
     lattice = Lattice([3.0, 2.0], [[6.1, 0.2], [2.9, 5.4]], size, 3.0)
-    every, _ = select_whole_lenses(lattice, 5.0)
+    every, _ = lattice.select_whole(5.0)
     indices, centres = sample_lenses(lattice, 5.0, 2400.0)
     np.testing.assert_allclose(centres, lattice.points(indices), atol=1e-9)
     assert {tuple(ij) for ij in indices.tolist()} <= {tuple(ij) for ij in every.tolist()}
@@ -37,7 +36,7 @@ def test_lenses_of_parts_are_those_of_the_flat_well_inside_them():
         np.concatenate([picture[y : y + 160, x : x + 160] for x, y in corners]), corners, (160, 160)
     )
     indices, centres, part = parts.lenses(whole, 7.0)
-    every, places = select_whole_lenses(whole, 7.0)
+    every, places = whole.select_whole(7.0)
     inside = [((places >= c + 7) & (places <= c + 159 - 7)).all(1) for c in corners]
     np.testing.assert_array_equal(indices, np.concatenate([every[mask] for mask in inside]))
     at = np.rint(centres).astype(int)
@@ -52,7 +51,7 @@ def test_dark_lenses_and_their_neighbours_are_left_out():
     lattice = Lattice([5.0, 5.0], [[10.0, 0.0], [0.0, 10.0]], (400, 300), 4.0)
     y, x = np.mgrid[:300, :400]
     light = np.where((np.hypot(x % 10 - 5, y % 10 - 5) < 4) & (x > 150), 1.0, 0.02)
-    indices, centres = select_whole_lenses(lattice, 7.0)
+    indices, centres = lattice.select_whole(7.0)
     lit = find_lit_lenses(np.sqrt(light).astype(np.float32), lattice, indices, centres, 0.2)
     # The first lit column is at 155 px, the one next to the dark ones.
     assert centres[lit, 0].min() == 165

@@ -66,7 +66,7 @@ def test_lattice_is_extended_through_a_distortion_of_more_than_half_a_pitch(bent
 
 def test_very_large_image_is_calibrated_on_parts_of_it(bent, in_parts):
     truth, image = bent
-    assert downscale.choose_block_size(image) == 1
+    assert downscale.choose_block_size(image, False) == 1
     colour = np.dstack([image] * 3)
     camera = lfcal.calibrate(colour)
     assert camera.source == "white"
