@@ -243,7 +243,8 @@ def proof_by_borders(figures: LatticeFigures) -> float:
     doubtful = 1 - _STRONG_MATCH(figures.parallax)
     touching *= 1 - _ALTERNATING_BORDERS(figures.classes) * doubtful
     differ = _UNLIKE_TONES_BORDERS(figures.between) * doubtful
-    differ *= 1 - _PLAIN_BORDERS(figures.borders) * _DARK_GAPS(figures.light)
+    gaps = _PLAIN_BORDERS(figures.borders) * _DARK_GAPS(figures.light) * is_one_lens(figures)
+    differ *= 1 - gaps
     scene = _TEXTURED(figures.inside) * (1 - differ)
     return touching * scene * (1 - _HALVES_BORDERS(figures.halves))
 
