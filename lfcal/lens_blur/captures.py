@@ -160,10 +160,12 @@ def _measure_spectrum(
         return None
     # The square windows lie half the shift between the two lenses from their centres.
     shift = float(np.median(np.hypot(*(pairs.second - pairs.first - pairs.apart).T)))
-    half = int(min((radius - shift / 2) / np.sqrt(2), _WIDEST))
-    side = 2 * half
-    if half < _NARROWEST:
+    room = (radius - shift / 2) / np.sqrt(2)
+    # The middles of the pixels in the corners of a window lie half a pixel inside.
+    if room < _NARROWEST - 0.5:
         return None
+    half = int(np.clip(room, _NARROWEST, _WIDEST))
+    side = 2 * half
     corners = np.rint(np.stack([pairs.first, pairs.second])).astype(int) - half
     inside = np.flatnonzero(((corners >= 0) & (corners + side <= lattice.image_size)).all((0, 2)))
     if len(inside) < _LEAST_PAIRS:

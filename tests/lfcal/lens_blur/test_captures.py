@@ -66,6 +66,13 @@ def test_the_expected_disc_of_a_sharp_slope_is_near_the_truth_where_its_error_is
     np.testing.assert_allclose(discs[0], [2.0, 2.4], atol=0.4)
 
 
+def test_the_disc_is_found_where_windows_hardly_fit_between_the_shifts_of_small_lenses():
+    camera = design(pitch=19.0, fill=0.28, focus=0.18)
+    found = measure(camera, SCENES["plane"](camera, seed=3, ratio=-0.3))
+    discs, _ = found.at([-0.3])
+    assert discs[0, 0] == pytest.approx(0.28 * 19 * 0.48, abs=0.5)
+
+
 def test_too_few_lenses_tell_nothing():
     camera = design()
     calibration = camera.calibration()
