@@ -344,7 +344,9 @@ def _summarise(cost: _Array, apertures: _Array, foci: _Array, ratios: _Array) ->
     tried = apertures[..., None] * np.abs(ratios - foci[:, None])
     share = np.exp((cost[1].min((1, 2), keepdims=True) - cost[1]) / 2)
     share /= share.sum((1, 2), keepdims=True)
-    expected = np.sqrt(np.einsum("taf,afr->tr", share, tried**2))
+    # Wider discs than those that were compared with the capture count as the widest of these.
+    compared = np.minimum(tried, _DISCS[-1])
+    expected = np.sqrt(np.einsum("taf,afr->tr", share, compared**2))
     # The aperture of all types, and the focus of each, that has nearly these discs.
     away = ((tried - expected[:, None, None]) ** 2).sum(-1) / _GRID_ERROR**2 + cost[1]
     common = away.min(2).sum(0).argmin()
