@@ -103,7 +103,7 @@ def _likely_discs(
         # sides, nothing tells which one that is.
         likely = np.hypot(away, edge) if both_modes else np.abs(away - edge)
         typical = np.where(known, likely, typical)
-    return np.asarray(typical)
+    return typical
 
 
 def averaged_squares(
@@ -118,7 +118,7 @@ def averaged_squares(
     """
     discs = _likely_discs(calibration, blur, ratios, both_modes)
     shares = type_shares(calibration.lens_types, ratios, len(discs))
-    return np.asarray(_OF_DISCS * (shares * discs**2).sum(0) + _READING)
+    return _OF_DISCS * (shares * discs**2).sum(0) + _READING
 
 
 def squares_to_average(
@@ -139,7 +139,7 @@ def squares_to_average(
     """
     averaged = averaged_squares(calibration, blur, ratios, both_modes)
     left = np.maximum((ratios * calibration.lattice.pitch / scale) ** 2 - 1, 1e-9)
-    return np.asarray(np.maximum(left - averaged, 0) * (1 + averaged / (3 * left)))
+    return np.maximum(left - averaged, 0) * (1 + averaged / (3 * left))
 
 
 def interpolation_transfer(frequency: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -148,4 +148,4 @@ def interpolation_transfer(frequency: NDArray[np.float64]) -> NDArray[np.float64
     The frequency is in cycles per pixel along one axis.
     """
     seen = np.minimum(np.abs(frequency), 1.0)
-    return np.asarray(np.sinc(frequency) ** 2 * (1 + (1 - np.cos(2 * np.pi * seen)) / 6))
+    return np.sinc(frequency) ** 2 * (1 + (1 - np.cos(2 * np.pi * seen)) / 6)

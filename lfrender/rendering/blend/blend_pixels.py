@@ -23,7 +23,7 @@ __all__ = ["blend_pixels", "count_samples"]
 _MOST = 37
 
 
-@njit(inline="always")
+@njit
 def _largest_at_edge(surface, depth, x, y, s, half):
     """Largest `|s|` at the corners of the output pixel at (x, y), `half` its side away.
 
@@ -31,13 +31,12 @@ def _largest_at_edge(surface, depth, x, y, s, half):
     """
     largest = abs(s)
     crosses = False
-    for corner in range(4):
-        corner_x = np.float32(x + (half if corner % 2 else -half))
-        corner_y = np.float32(y + (half if corner // 2 else -half))
-        other = patch_size_at(surface, depth, corner_x, corner_y)
-        largest = max(largest, abs(other))
-        crosses |= abs(other - s) > depth.edge
-    return largest if crosses else np.float32(0)
+    for to_y in (-half, half):
+        for to_x in (-half, half):
+            other = patch_size_at(surface, depth, np.float32(x + to_x), np.float32(y + to_y))
+            largest = max(largest, abs(other))
+            crosses |= abs(other - s) > depth.edge
+    return largest * crosses
 
 
 @njit(error_model="numpy")
@@ -128,11 +127,12 @@ def blend_pixels(begin, end, flat, light, lenses, surface, depth, grid, weightin
             samples, apart = count_samples(
                 surface, depth, centre_x, centre_y, s, grid, pitch, weighting.squares
             )
+            middle = 0.5 * (samples - 1)
             total[:] = 0
             seen = 0
             for sample in range(samples * samples):
-                x = centre_x + (sample % samples - 0.5 * (samples - 1)) * apart
-                y = centre_y + (sample // samples - 0.5 * (samples - 1)) * apart
+                x = centre_x + (sample % samples - middle) * apart
+                y = centre_y + (sample // samples - middle) * apart
                 if samples > 1:
                     s = patch_size_at(surface, depth, np.float32(x), np.float32(y))
                 slope = s / pitch
