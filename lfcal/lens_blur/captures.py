@@ -160,10 +160,12 @@ def _measure_spectrum(
         return None
     # The square windows lie half the shift between the two lenses from their centres.
     shift = float(np.median(np.hypot(*(pairs.second - pairs.first - pairs.apart).T)))
-    half = int(min((radius - shift / 2) / np.sqrt(2), _WIDEST))
-    side = 2 * half
-    if half < _NARROWEST:
+    room = (radius - shift / 2) / np.sqrt(2)
+    # The middles of the pixels in the corners of a window lie half a pixel inside.
+    if room < _NARROWEST - 0.5:
         return None
+    half = int(np.clip(room, _NARROWEST, _WIDEST))
+    side = 2 * half
     corners = np.rint(np.stack([pairs.first, pairs.second])).astype(int) - half
     inside = np.flatnonzero(((corners >= 0) & (corners + side <= lattice.image_size)).all((0, 2)))
     if len(inside) < _LEAST_PAIRS:
@@ -342,7 +344,9 @@ def _summarise(cost: _Array, apertures: _Array, foci: _Array, ratios: _Array) ->
     tried = apertures[..., None] * np.abs(ratios - foci[:, None])
     share = np.exp((cost[1].min((1, 2), keepdims=True) - cost[1]) / 2)
     share /= share.sum((1, 2), keepdims=True)
-    expected = np.sqrt(np.einsum("taf,afr->tr", share, tried**2))
+    # Wider discs than those that were compared with the capture count as the widest of these.
+    compared = np.minimum(tried, _DISCS[-1])
+    expected = np.sqrt(np.einsum("taf,afr->tr", share, compared**2))
     # The aperture of all types, and the focus of each, that has nearly these discs.
     away = ((tried - expected[:, None, None]) ** 2).sum(-1) / _GRID_ERROR**2 + cost[1]
     common = away.min(2).sum(0).argmin()

@@ -169,7 +169,7 @@ class _Levels:
 
     def _read(self, fx: _Table, fy: _Table) -> _Table:
         read = interpolation_transfer(fx * self.grown) * interpolation_transfer(fy * self.grown)
-        return np.asarray(read * np.sinc(fx * self.apart) * np.sinc(fy * self.apart))
+        return read * np.sinc(fx * self.apart) * np.sinc(fy * self.apart)
 
     def left(self, fx: _Table, fy: _Table) -> tuple[_Table, _Table, _Table]:
         """What is left of each frequency (n, f), its expected power (f,), and the rest of that."""
@@ -243,4 +243,4 @@ def _fit(powers: _Table, known: _Table, wanted: _Table, grain: _Table) -> _Table
     size = np.trace(normal, axis1=2, axis2=3)
     # A ridge keeps the fit well-conditioned.
     normal = normal + np.eye(count) * (1.5e-3 * size)[..., None, None]
-    return np.asarray(np.linalg.solve(normal, right[..., None])[..., 0])
+    return np.linalg.solve(normal, right[..., None])[..., 0]

@@ -115,12 +115,10 @@ def restore_detail(
     import cv2
 
     height, _, channels = image.shape
-    seen = np.empty((0, 0), np.uint8)
+    seen: NDArray[Any] = np.empty((0, 0), np.uint8)
     if not valid.all():
         reach = 2 * sum(SMOOTHING) + 1
-        seen = np.asarray(
-            cv2.erode(valid.view(np.uint8), np.ones((reach, reach), np.uint8)), np.uint8
-        )
+        seen = cv2.erode(valid.view(np.uint8), np.ones((reach, reach), np.uint8))
     # No overshoot beside clipped values: lenses blurred more light than these show.
     rows = image.reshape(height, -1)
     unclipped = cv2.inRange(rows, -np.inf, white * (1 - 0.5 / 255))

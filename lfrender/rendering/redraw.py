@@ -60,7 +60,7 @@ def find_changed_pixels(
     inside = ((at >= 0) & (at < still.shape[::-1])).all(1)
     still[at[inside, 1], at[inside, 0]] = 0
     away = cv2.distanceTransform(still, cv2.DIST_L2, cv2.DIST_MASK_5)
-    return np.asarray(away[beyond : beyond + rows, beyond : beyond + columns] <= side)
+    return away[beyond : beyond + rows, beyond : beyond + columns] <= side
 
 
 def redraw(

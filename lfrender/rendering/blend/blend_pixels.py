@@ -15,7 +15,7 @@ from lfcal.runtime.kernels import kernel
 
 from ...data.surface import patch_size_at
 from ...flat.lens_graph import nearest_index
-from .records import FARTHEST_SAMPLE, OCCLUDED, ONE_SAMPLE, RIM
+from .records import AT_EDGES, FARTHEST_SAMPLE, OCCLUDED, ONE_SAMPLE, RIM
 
 __all__ = ["blend_pixels", "count_samples"]
 
@@ -23,17 +23,20 @@ __all__ = ["blend_pixels", "count_samples"]
 _MOST = 37
 
 
-@njit(inline="always")
-def _crosses_edge(surface, depth, x, y, s, half):
-    """Whether a corner of the output pixel at (x, y), `half` its side away, belongs to another
-    surface than `s`.
+@njit
+def _largest_at_edge(surface, depth, x, y, s, half):
+    """Largest `|s|` at the corners of the output pixel at (x, y), `half` its side away.
+
+    Zero if none of the corners belongs to another surface than `s`.
     """
-    for corner in range(4):
-        corner_x = np.float32(x + (half if corner % 2 else -half))
-        corner_y = np.float32(y + (half if corner // 2 else -half))
-        if abs(patch_size_at(surface, depth, corner_x, corner_y) - s) > depth.edge:
-            return True
-    return False
+    largest = abs(s)
+    crosses = False
+    for to_y in (-half, half):
+        for to_x in (-half, half):
+            other = patch_size_at(surface, depth, np.float32(x + to_x), np.float32(y + to_y))
+            largest = max(largest, abs(other))
+            crosses |= abs(other - s) > depth.edge
+    return largest * crosses
 
 
 @njit(error_model="numpy")
@@ -41,17 +44,18 @@ def count_samples(surface, depth, x, y, s, grid, pitch, squares):
     """Samples along a side of an output pixel, and how far they are apart [px of the scene].
 
     Their variance about the middle is that of the square that is left to average
-    (`Weighting.squares`), whatever their number; at depth edges that of the pixel less one of the
-    flat.
+    (`Weighting.squares`), whatever their number. At depth edges they fill the whole pixel, since
+    the outline is not blurred.
     """
     side = abs(s) / grid.scale
     if side <= 1:
         return 1, 0.0
+    largest = _largest_at_edge(surface, depth, x, y, s, 0.5 * grid.spacing)
+    if largest > 0:
+        samples = int(np.ceil(largest / grid.scale / AT_EDGES))
+        return samples, grid.spacing / samples
     last = len(squares) - 1
     left = squares[min(max(int((s / pitch + 1) * (0.5 * last) + 0.5), 0), last)]
-    if _crosses_edge(surface, depth, x, y, s, 0.5 * grid.spacing):
-        # The outline is not blurred; a pixel of the flat has averaged at most a quarter.
-        left = max(left, 0.75 * side * side, side * side - 1)
     if left < ONE_SAMPLE:
         return 1, 0.0
     samples = int(np.ceil(np.sqrt(left / FARTHEST_SAMPLE + 1)))
@@ -123,11 +127,12 @@ def blend_pixels(begin, end, flat, light, lenses, surface, depth, grid, weightin
             samples, apart = count_samples(
                 surface, depth, centre_x, centre_y, s, grid, pitch, weighting.squares
             )
+            middle = 0.5 * (samples - 1)
             total[:] = 0
             seen = 0
             for sample in range(samples * samples):
-                x = centre_x + (sample % samples - 0.5 * (samples - 1)) * apart
-                y = centre_y + (sample // samples - 0.5 * (samples - 1)) * apart
+                x = centre_x + (sample % samples - middle) * apart
+                y = centre_y + (sample // samples - middle) * apart
                 if samples > 1:
                     s = patch_size_at(surface, depth, np.float32(x), np.float32(y))
                 slope = s / pitch

@@ -378,7 +378,6 @@ def blend_rows(begin, end, flat, light, lenses, surface, depth, grid, weighting,
     memory = _allocate(len(lenses.shares), cells, across * beside * pieces, flat.pixels)
     t2 = weighting.tolerance * weighting.tolerance
     per_channel = np.float32(1 / channels)
-    largest = grid.scale
     for v in range(begin, end):
         y = grid.first[1] + (start[1] + v) * spacing
         for section in range(0, columns, _SECTION):
@@ -400,7 +399,7 @@ def blend_rows(begin, end, flat, light, lenses, surface, depth, grid, weighting,
             totals = memory.totals
             for k in range(count):
                 left[v, section + k] = False
-                if abs(sizes[k]) > largest:
+                if abs(sizes[k]) > grid.scale:
                     x = grid.first[0] + (column + k) * spacing
                     samples, _ = count_samples(
                         surface, depth, x, y, sizes[k], grid, lenses.pitch, weighting.squares

@@ -13,6 +13,7 @@ from ...flat.lens_graph import lens_displacements, lens_offsets
 from ...flat.lens_type_weights import focus_weights
 
 __all__ = [
+    "AT_EDGES",
     "FARTHEST_SAMPLE",
     "OCCLUDED",
     "ONE_SAMPLE",
@@ -36,6 +37,10 @@ ONE_SAMPLE = np.float32(0.25)
 #: [px^2 of the flat] Square of the largest distance between samples: pixels and interpolation leave
 #: little to alias.
 FARTHEST_SAMPLE = np.float32(1.5)
+#: [px of the flat] Distance between samples at depth edges, on the largest patches of the pixel:
+#: the share of each surface is counted. With 1 or 0.67 px, coarse pictures of four scenes of
+#: clutter are 0.03 and 0.02 dB worse.
+AT_EDGES = np.float32(0.5)
 
 
 class Flat(NamedTuple):

@@ -111,14 +111,17 @@ float sizeAt(vec2 X) {
   return held < pitch ? held : held - 2.0 * pitch;
 }
 
-bool crossesEdge(vec2 X, float s) {
-  if (!own) return false;
-  float h = 0.5 * spacing;
-  for (int corner = 0; corner < 4; corner++) {
+// Largest |s| at the corners of a pixel that straddles a depth edge; zero for other pixels.
+float largestAtEdge(vec2 X, float s) {
+  float h = 0.5 * spacing, largest = abs(s);
+  bool crosses = false;
+  for (int corner = 0; corner < 4 && own; corner++) {
     vec2 to = vec2((corner & 1) == 1 ? h : -h, (corner & 2) == 2 ? h : -h);
-    if (abs(surfaceAt(X + to).x - s) > edge) return true;
+    float other = surfaceAt(X + to).x;
+    crosses = crosses || abs(other - s) > edge;
+    largest = max(largest, abs(other));
   }
-  return false;
+  return crosses ? largest : 0.0;
 }
 
 vec2 displacementOf(ivec2 index) {
@@ -261,16 +264,20 @@ void main() {
     result = vec4(overlay > 0.0 ? mix(mean, magnificationColour(X), overlay) : mean, 1.0);
     return;
   }
-  float s = sizeAt(X), side = abs(s) * spacing / pitch, left = 0.0;
+  float s = sizeAt(X), side = abs(s) * spacing / pitch, apart = 0.0;
+  int across = 1;
   if (side > 1.0) {
     // As `count_samples` and `squares_to_average` of the renderer.
-    float own = side * side - 1.0, blurred = atRatio(averaged, s / pitch, 0);
-    left = max(own - blurred, 0.0) * (1.0 + blurred / (3.0 * own));
-    if (crossesEdge(X, s)) left = max(left, max(0.75 * side * side, own));
+    float largest = largestAtEdge(X, s), whole = side * side - 1.0, blurred = atRatio(averaged, s / pitch, 0);
+    float left = max(whole - blurred, 0.0) * (1.0 + blurred / (3.0 * whole));
+    if (largest > 0.0) {
+      across = min(int(ceil(largest * spacing / pitch / 0.5)), int(most));
+      apart = spacing / float(across);
+    } else if (left >= 0.25) {
+      across = min(int(ceil(sqrt(left / 1.5 + 1.0))), int(most));
+      apart = across == 1 ? 0.0 : sqrt(left / float(across * across - 1)) * spacing / side;
+    }
   }
-  int across = left < 0.25 ? 1 : int(ceil(sqrt(left / 1.5 + 1.0)));
-  across = min(across, int(most));
-  float apart = across == 1 ? 0.0 : sqrt(left / float(across * across - 1)) * spacing / side;
   vec4 total = vec4(0.0);
   // At the border, some places are seen by far lenses alone.
   for (int turn = 0; turn < 2 && total.a == 0.0; turn++) {

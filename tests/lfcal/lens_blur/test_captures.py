@@ -66,6 +66,26 @@ def test_the_expected_disc_of_a_sharp_slope_is_near_the_truth_where_its_error_is
     np.testing.assert_allclose(discs[0], [2.0, 2.4], atol=0.4)
 
 
+def test_the_disc_is_found_where_windows_hardly_fit_between_the_shifts_of_small_lenses():
+    camera = design(pitch=19.0, fill=0.28, focus=0.18)
+    found = measure(camera, SCENES["plane"](camera, seed=3, ratio=-0.3))
+    discs, _ = found.at([-0.3])
+    assert discs[0, 0] == pytest.approx(0.28 * 19 * 0.48, abs=0.5)
+
+
+def test_a_capture_of_noise_has_no_wider_disc_than_those_that_were_compared():
+    # A usual aperture of 0.2 D would make discs of 11 px, and wider ones would not be unlikely.
+    camera = Camera.design(size=(1200, 1000), pitch=100.0).calibration()
+    rng = np.random.default_rng(4)
+    found = lfcal.measure_lens_blur(
+        lambda corners, side: rng.normal(0.5, 0.1, (len(corners), side, side)),
+        camera,
+        np.full(len(camera.lattice), -60.0),
+        45.0,
+    )
+    assert 2 < found.discs.max() < 9.2
+
+
 def test_too_few_lenses_tell_nothing():
     camera = design()
     calibration = camera.calibration()
