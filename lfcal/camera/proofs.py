@@ -224,7 +224,8 @@ def proof_by_circles(figures: LatticeFigures) -> float:
     circles = figures.circles - max(figures.circles_beside, 0.0)
     shape = _LENS_SHAPE(figures.shape) * _REPEATS(figures.repeats) * is_one_lens(figures)
     shape *= _SOME_OUTLINE(figures.outline) * (1 - _UNLIKE_TONES(figures.between))
-    circular = max(_MOST_CIRCLES(circles), _FEW_CIRCLES(circles) * shape)
+    most = _MOST_CIRCLES(circles) * _ROUGH_SHAPE(figures.shape)
+    circular = max(most, _FEW_CIRCLES(circles) * shape)
     match = _SOME_MATCH(figures.parallax) * _shows_scene(figures)
     return circular * match * edges(figures)
 
