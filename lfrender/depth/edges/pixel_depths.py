@@ -26,8 +26,8 @@ __all__ = ["measure_pixel_depths"]
 _JUMP = np.float32(0.3)
 _EDGE_CONTRAST = np.float32(0.045)
 # Mean mismatch of the pixels of a lens from which on no depth matches. Where AntLeg lies on the
-# microlenses it is 0.63 to 0.83 in the first round and 0.51 to 0.73 in the second; beside true edges
-# nine of ten lenses have less than 0.4. The first round compares with occluded lenses too.
+# microlenses it is 0.63 to 0.83 in the first round and 0.51 to 0.73 in the second; beside true
+# edges nine of ten lenses have less than 0.4. The first round compares with occluded lenses too.
 _FIRST_UNRELATED = 0.6
 _UNRELATED = 0.5
 
