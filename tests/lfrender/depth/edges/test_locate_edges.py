@@ -11,8 +11,9 @@ from scipy.ndimage import distance_transform_edt
 
 import lfrender
 from data_synth import SCENES, Camera, simulate
-from lfrender.depth.edges.locate_edges import FINER, locate_edges
+from lfrender.depth.edges.locate_edges import FINER, locate_edges, refine_grid
 from lfrender.depth.pipeline import prepare_flat
+from lfrender.flat.lens_graph import nearest_lens
 
 
 @pytest.fixture(scope="module")
@@ -102,6 +103,23 @@ def test_a_place_that_hardly_another_lens_shows_keeps_its_depth(house_in_front):
     near = replace(depth, surface=replace(depth.surface, patch_size=values))
     after = locate_edges(gray, lattice, near).surface.patch_size
     assert (after[:, : after.shape[1] // 2 - 4] > 0.6 * lattice.pitch).all()
+
+
+def test_lenses_that_match_at_no_depth_leave_the_surface_as_it_is(house_in_front):
+    _, _, depth, _, gray, lattice = house_in_front
+    values = np.full_like(depth.surface.patch_size, 9.0)
+    values[:, values.shape[1] // 2 :] = 5.0
+    jump = replace(depth, surface=replace(depth.surface, patch_size=values))
+    # On the microlenses each lens shows one place of the scene.
+    v, u = np.indices(gray.image.shape)
+    lens = nearest_lens(lattice.centres(), np.stack([u, v], -1).reshape(-1, 2).astype(float))
+    random = np.random.default_rng(3)
+    image = random.random(len(lattice))[lens].reshape(gray.image.shape)
+    image += random.normal(0, 0.005, image.shape)
+    unrelated = replace(gray, image=image.astype(np.float32))
+    before = refine_grid(values, FINER, 0.04 * lattice.pitch)
+    assert np.array_equal(locate_edges(unrelated, lattice, jump).surface.patch_size, before)
+    assert not np.array_equal(locate_edges(gray, lattice, jump).surface.patch_size, before)
 
 
 def test_parts_of_a_flat_have_the_same_edges(house_in_front):
