@@ -33,6 +33,19 @@ OVERLAPPING = (0.52, 0.68)
 _SCALED_PITCH = 20
 #: [pitch] Side of the part that is searched: with 24, Letras is given a wrong lattice.
 _SIDE = 30
+# Places of the part that is searched, in shares of the room to the left and above: the middle, and
+# around it.
+_PLACES = (
+    (0.5, 0.5),
+    (0.2, 0.5),
+    (0.8, 0.5),
+    (0.5, 0.2),
+    (0.5, 0.8),
+    (0.0, 0.0),
+    (1.0, 0.0),
+    (0.0, 1.0),
+    (1.0, 1.0),
+)
 
 
 @dataclass(frozen=True)
@@ -66,8 +79,7 @@ class _ScaledPart:
     def of(cls, picture: Singles, pitch: float) -> _ScaledPart:
         height, width = picture.shape
         side = min(max(int(_SIDE * pitch), 64), height, width)
-        left = (width - side) // 2
-        top = (height - side) // 2
+        left, top = _brightest_part(picture, side)
         part = np.ascontiguousarray(picture[top : top + side, left : left + side])
         levelled = normalise_locally(part, 3 * pitch)
         factor = _SCALED_PITCH / pitch
@@ -105,3 +117,18 @@ class _ScaledPart:
     def to_flat(self, places: NDArray[Any]) -> Floats:
         """Positions (n, 2) [px] on the picture of places (n, 2) in the part."""
         return (places + 0.5) / self.factor - 0.5 + self.corner
+
+
+def _brightest_part(picture: Singles, side: int) -> tuple[int, int]:
+    """Left and top [px] of the square part in the middle, or of one beside it that has more than
+    twice its light: an array may lie beside the middle of a sensor.
+    """
+    height, width = picture.shape
+    places = [
+        (int(across * (width - side)), int(down * (height - side))) for across, down in _PLACES
+    ]
+    means = [
+        float(picture[top : top + side : 4, left : left + side : 4].mean()) for left, top in places
+    ]
+    best = int(np.argmax(means))
+    return places[best] if means[best] > 2 * means[0] else places[0]

@@ -286,7 +286,7 @@ def measure_lens_blur(
 
     Examples
     --------
-    On this small flat, too few lenses show the same place.
+    Microimages of this radius have no room for the windows that are compared.
 
     >>> import lfrender
     >>> from numpy.lib.stride_tricks import sliding_window_view
@@ -295,7 +295,7 @@ def measure_lens_blur(
     >>> def light(corners, side):
     ...     x, y = corners.T
     ...     return sliding_window_view(grey, (side, side))[y, x]
-    >>> measure_lens_blur(light, camera, depth.patch_size, 9.0) is None
+    >>> measure_lens_blur(light, camera, depth.patch_size, 8.0) is None
     True
     """
     pitch = calibration.lattice.pitch
