@@ -358,9 +358,8 @@ def compare_pixels(lenses: Microimages) -> tuple[Floats, Booleans, Floats]:
     x, y = lenses.places()
     far = np.maximum(np.hypot(x, y), 1e-6)
     step, table, saturation = lenses.rings
-    level, slope, weight, own, harmonic = (
-        np.interp(far / step, np.arange(len(table)), c) for c in table.T
-    )
+    columns = [np.interp(far / step, np.arange(len(table)), column) for column in table.T]
+    level, slope, weight, own, harmonic = columns
     (shade_x, shade_y), (slope_x, slope_y) = (
         lenses.shade.T[..., None, None],
         lenses.slope.T[..., None, None],

@@ -53,9 +53,11 @@ def fit_spots(picture: Singles, start: Lattice) -> LatticeFit:
             raise CalibrationError(
                 f"only {lit.sum()} whole microimages have light; give a brighter white image"
             )
-        indices, centres, corner, light, total = (
-            v[lit] for v in (indices, centres, corner, light, total)
-        )
+        indices = indices[lit]
+        centres = centres[lit]
+        corner = corner[lit]
+        light = light[lit]
+        total = total[lit]
         shifts = corner + np.column_stack([light @ x, light @ y]) / total[:, None] - centres
         design = np.column_stack([np.ones(len(indices)), indices])
         change, weight = fit_affine(design, shifts, np.ones(len(indices)))

@@ -1,6 +1,56 @@
-"""What the evidence for a lattice says in words."""
+"""What the evidence for a lattice says, in numbers and in words."""
 
 from dataclasses import replace
+
+import pytest
+
+
+@pytest.fixture
+def dark_discs(house_white_camera):
+    """Evidence of dark round lenses in brighter gaps, with a board behind few of them."""
+    return replace(
+        house_white_camera.evidence,
+        repeats=0.98,
+        halves=0.005,
+        fit_halves=None,
+        roundness=0.95,
+        shape=0.97,
+        light=-0.7,
+        content=-0.7,
+        outline=0.5,
+        borders=0.0,
+        circles=0.9,
+        circles_beside=0.0,
+        fine=0.5,
+        inverted=-0.3,
+        overlap=0.0,
+        parallax=0.02,
+        still=0.04,
+        continued=0.1,
+        classes=0.0,
+        inside=-2.6,
+        detail=0.4,
+        between=-4.5,
+        unlike=0.0,
+    )
+
+
+def test_dark_discs_are_doubted_until_neighbours_match(dark_discs):
+    assert 0.5 < dark_discs.probability < 0.8
+    assert replace(dark_discs, parallax=0.6).probability > 0.9
+
+
+def test_circles_of_another_place_prove_nothing(dark_discs):
+    matching = replace(dark_discs, parallax=0.6, shape=0.5, roundness=0.3)
+    assert matching.probability < 0.5
+
+
+def test_cloth_and_tiles_are_no_lenses(house_white_camera):
+    white = house_white_camera.evidence
+    assert white.probability > 0.9
+    assert replace(white, fine=0.055, inverted=-0.91).probability < 0.5
+    tiles = replace(white, inside=-5.0, detail=0.5, between=-2.5, unlike=0.4, parallax=0.5)
+    assert tiles.probability < 0.5
 
 
 def test_the_words_name_the_proofs(house_white_camera):
