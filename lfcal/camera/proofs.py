@@ -35,8 +35,8 @@ class _Ramp(NamedTuple):
         return float(min(max((value - self.low) / (self.high - self.low), 0.0), 1.0))
 
 
-# The limits were chosen on random cameras (seeds 0 to 300, 900 to 929, 1000 to 1259, 1300 to 1339, and
-# single ones of 1400 to 1579), ray-traced scenes (seeds 0 to 36, 93), pictures that are no flats
+# The limits were chosen on random cameras (seeds 0 to 300, 900 to 929, 1000 to 1259, 1300 to 1339,
+# and single ones of 1400 to 1579), ray-traced scenes (seeds 0 to 36, 93), pictures that are no flats
 # (seeds 0 to 311, 380 to 439) and the shared captures; other seeds test them.
 # Average cell: shares of it, and [ln] light of its middle over that of its border.
 _FINE = _Ramp(0.01, 0.06)  # waves have 0.00, blurred arrays of microscopes 0.09
