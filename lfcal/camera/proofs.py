@@ -36,7 +36,7 @@ class _Ramp(NamedTuple):
 
 
 # The limits were chosen on random cameras (seeds 0 to 300, 900 to 929, 1000 to 1259, 1300 to 1339,
-# and single ones of 1400 to 1579), ray-traced scenes (seeds 0 to 36, 93), pictures that are no flats
+# single ones of 1400 to 1579), ray-traced scenes (seeds 0 to 36, 93), pictures that are no flats
 # (seeds 0 to 311, 380 to 439) and the shared captures; other seeds test them.
 # Average cell: shares of it, and [ln] light of its middle over that of its border.
 _FINE = _Ramp(0.01, 0.06)  # waves have 0.00, blurred arrays of microscopes 0.09
@@ -189,8 +189,9 @@ def is_one_lens(figures: LatticeFigures) -> float:
 
 
 def is_mesh(figures: LatticeFigures) -> float:
-    """How far one picture goes on from cell to cell, 0 to 1; round cells show it if they have detail
-    that does not match.
+    """How far one picture goes on from cell to cell, 0 to 1.
+
+    Round cells count if they have detail that does not match.
     """
     behind = _GOES_ON(figures.continued - max(figures.parallax, figures.still, 0.0))
     textured = _TEXTURED(figures.inside) * (1 - _SOME_MATCH(figures.parallax))
