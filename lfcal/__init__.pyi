@@ -10,6 +10,7 @@ from .display.compare import compare
 from .display.fit_check import check_fit
 from .display.overlay import show
 from .illumination.aperture import widen_microimages
+from .images.pixels import check_pixels
 from .images.read import count_pages, read_flat
 from .images.stream import FlatSource, open_flat, subtract_dark
 from .lattice.lattice import Lattice
@@ -51,6 +52,7 @@ __all__ = [
     "calibrate_metric",
     "check_camera",
     "check_fit",
+    "check_pixels",
     "compare",
     "count_pages",
     "load",

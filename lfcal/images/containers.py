@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import struct
 from contextlib import suppress
 from itertools import product
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..runtime.errors import FlatError
 from ..runtime.image_formats import identify_format
-from .pixels import MAX_PIXELS, check_only_page, check_size, import_reader
+from .pixels import MAX_PIXELS, check_only_page, check_size, check_unpacked, import_reader
 from .tiff import open_tiff
 
 __all__ = [
@@ -54,11 +55,12 @@ _NUMERIC_CODECS = {
     "zlib",
     "zstd",
 }
+# Entry of the index of a Zarr shard, and its checksum [bytes]. The length of a missing chunk is the
+# largest number.
+_SHARD_ENTRY = np.dtype([("start", "<u8"), ("length", "<u8")])
+_CHECKSUM = 4
 # Header of a Blosc block: bytes of its pixels, and of the block.
 _BLOSC_HEADER = struct.Struct("<4xI4xI")
-# Most bytes of an HDF5 dataset over those in the file: shuffled and deflated pictures have ten
-# times as many, blank ones a thousand times.
-_MOST_DEFLATED = 1100
 _MOST_CHANNELS = 4
 
 
@@ -71,7 +73,7 @@ def read_hdf5(path: Path, page: int | None) -> NDArray[Any]:
     h5py = import_reader("h5py", "hdf5")
     with h5py.File(path, "r") as file:
         names = _FURTHER if page else _CAPTURES
-        found = [name for name in names if isinstance(file.get(name), h5py.Dataset)]
+        found = [name for name in names if _is_dataset(file, name)]
         if page and not 0 < page <= len(found):
             raise FlatError(f"holds {1 + len(found)} pictures and no page {page}")
         if not found:
@@ -87,6 +89,27 @@ def read_hdf5(path: Path, page: int | None) -> NDArray[Any]:
                 )
         name = found[page - 1 if page else 0]
         return _read_dataset(name, file[name])
+
+
+def _is_dataset(file: Any, name: str) -> bool:
+    """Whether an HDF5 file holds a dataset of this name; FlatError if it lies in another file.
+
+    Links to other files would let a file name anything that this machine can read, and a device or
+    pipe would block.
+    """
+    import h5py
+
+    item = file
+    path = ""
+    for part in name.split("/"):
+        path = f"{path}/{part}"
+        # `part in item` would follow the link.
+        if not isinstance(item, h5py.Group) or not item.id.links.exists(part.encode()):
+            return False
+        if item.id.links.get_info(part.encode()).type != h5py.h5l.TYPE_HARD:
+            raise FlatError(f"'{path}' is a link; copy the data into the file (h5repack)")
+        item = item[part]
+    return isinstance(item, h5py.Dataset)
 
 
 def _may_be_picture(item: Any) -> bool:
@@ -114,26 +137,28 @@ def _read_dataset(name: str, data: Any) -> NDArray[Any]:
     check_size(width, height)
     _check_stored(name, data)
     pixels: NDArray[Any] = data[()]
-    if pixels.dtype.kind == "u" and pixels.dtype.itemsize > 2:
-        if pixels.max(initial=0) > 0xFFFF:
-            raise FlatError(f"dataset '{name}' holds values above 65535; save it as 16 bit")
-        pixels = pixels.astype(np.uint16)
     if pixels.ndim < 4:
         return pixels
     return np.moveaxis(pixels, (2, 0, 3, 1), (0, 1, 2, 3)).reshape(height, width, *picture[2:])
 
 
 def _check_stored(name: str, data: Any) -> None:
-    """Raise FlatError if values are missing, which HDF5 fills in, or would fill the memory."""
+    """Raise FlatError if values are missing, lie in other files, or would fill the memory."""
+    if data.external or data.is_virtual:
+        raise FlatError(
+            f"the values of dataset '{name}' lie in other files; copy them into the file (h5repack)"
+        )
     if data.nbytes > 32 * MAX_PIXELS:
         raise FlatError(f"dataset '{name}' has {data.nbytes} bytes, more than this toolkit reads")
-    stored = int(data.id.get_storage_size())
-    least = data.nbytes
+    size = Path(data.file.filename).stat().st_size
     chunks = 0
-    if data.chunks is not None:
-        least /= _MOST_DEFLATED
-        chunks = int(np.prod([-(-n // c) for n, c in zip(data.shape, data.chunks, strict=True)]))
-    if stored < least or (chunks and data.id.get_num_chunks() < chunks):
+    if data.chunks is None:
+        is_whole = data.id.get_storage_size() >= data.nbytes
+    else:
+        chunks = math.prod(-(-n // c) for n, c in zip(data.shape, data.chunks, strict=True))
+        check_unpacked(chunks * math.prod(data.chunks) * data.dtype.itemsize, size)
+        is_whole = data.id.get_num_chunks() >= chunks
+    if not is_whole:
         raise FlatError(
             f"dataset '{name}' is incomplete: values or chunks are missing; copy the file anew"
         )
@@ -224,24 +249,57 @@ class ZarrFlat(NamedTuple):
 
     def _check_chunks(self, parts: list[slice]) -> None:
         metadata = self.array.metadata
-        sides = metadata.chunk_grid.chunk_shape[self.leading :]
+        parts = [slice(0, 1)] * self.leading + parts
+        sides = metadata.chunk_grid.chunk_shape
         blosc = _is_blosc(metadata)
         folder = Path(self.array.store.root) / self.array.path
         numbers = (
             range(p.start // side, -(-p.stop // side)) for p, side in zip(parts, sides, strict=True)
         )
         for chunk in product(*numbers):
-            name = metadata.encode_chunk_key((0,) * self.leading + chunk)
-            if not (folder / name).is_file():
+            name = metadata.encode_chunk_key(chunk)
+            is_missing = not (folder / name).is_file()
+            if not is_missing and self.array.shards is not None:
+                is_missing = _has_gaps(folder / name, self.array, chunk, parts)
+            if is_missing:
                 advice = (
                     "copy the array anew, or write empty chunks too (in Zarr: "
                     "write_empty_chunks=True)"
                 )
-                raise FlatError(f"the chunk '{name}' is missing; {advice}")
+                raise FlatError(f"the chunk '{name}' is missing or incomplete; {advice}")
             if blosc and not _is_whole_blosc(
                 folder / name, math.prod(sides) * self.array.dtype.itemsize
             ):
                 raise FlatError(f"the chunk '{name}' is truncated or damaged; copy the array anew")
+
+
+def _has_gaps(path: Path, array: Any, shard: tuple[int, ...], parts: list[slice]) -> bool:
+    """Whether chunks that overlap some parts are missing in the file of a shard.
+
+    The decoder fills them in. Source: Zarr 3 specification, codec `sharding_indexed`.
+    """
+    counts = [side // inner for side, inner in zip(array.shards, array.chunks, strict=True)]
+    size = _SHARD_ENTRY.itemsize * math.prod(counts)
+    settings = array.metadata.to_dict()["codecs"][0]["configuration"]
+    names = [codec["name"] for codec in settings["index_codecs"]]
+    if names != ["bytes", "crc32c"]:
+        raise FlatError(f"shards with an index of the codecs {names} are not read")
+    with path.open("rb") as file:
+        stored = file.seek(0, os.SEEK_END)
+        if stored < size + _CHECKSUM:
+            return True
+        file.seek(0 if settings["index_location"] == "start" else stored - size - _CHECKSUM)
+        entries = np.frombuffer(file.read(size), _SHARD_ENTRY).reshape(counts)
+    wanted = []
+    for part, number, side, inner in zip(parts, shard, array.shards, array.chunks, strict=True):
+        first = number * side
+        low = max(part.start - first, 0) // inner
+        high = -(-min(part.stop - first, side) // inner)
+        wanted.append(slice(low, high))
+    overlapping = entries[tuple(wanted)]
+    ends = overlapping["start"] + overlapping["length"]
+    is_gap = (overlapping["length"] > stored) | (ends > stored)
+    return bool(is_gap.any())
 
 
 def _is_blosc(metadata: Any) -> bool:

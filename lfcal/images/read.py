@@ -20,7 +20,7 @@ from ..runtime.image_formats import (
 )
 from .containers import is_zarr, open_zarr, read_hdf5, read_openexr, read_raw_photo
 from .lytro import read_lytro
-from .pixels import MAX_PIXELS, check_only_page, checked_pixels, decode_picture, file_errors
+from .pixels import MAX_PIXELS, check_only_page, check_pixels, decode_picture, file_errors
 from .tiff import count_tiff_pages, read_tiff
 from .video import count_yuv_frames, is_yuv, read_video_frame, read_yuv
 
@@ -44,6 +44,7 @@ _CONVERTERS = {
     ".mat": "save the picture as TIFF or HDF5 (h5write)",
     ".raw": "it has no header: name it NAME_WxH_400p8.yuv, or 400p10, 400p12 for 16-bit samples of "
     "so many bits",
+    ".zip": "unpack it; give the folder of a Zarr array, or the picture in it",
     ".jp2": "convert it to TIFF with ImageMagick or opj_decompress",
 }
 
@@ -97,8 +98,8 @@ def read_flat(
     source = check_path(path)
     with file_errors(source):
         if is_yuv(source) and source.is_file():
-            return checked_pixels(read_yuv(source, page, size, pixel_format))
-        return checked_pixels(_decode(source, page))
+            return check_pixels(read_yuv(source, page, size, pixel_format))
+        return check_pixels(_decode(source, page))
 
 
 def count_pages(

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..runtime.errors import FlatError
+from .pixels import check_pixels
 from .preprocessing import is_mask
 from .read import read_flat
 
@@ -30,8 +31,6 @@ __all__ = [
 
 Light = NDArray[np.float32]
 
-# Largest value of a flat: sums of squares of larger ones exceed the range of single precision.
-_LARGEST = 1e30
 # Bits of sensors.
 _BITS = (8, 10, 12, 14)
 # Contrast or exposure over that of the best flat below which a flat is dark, saturated or blank.
@@ -70,30 +69,13 @@ def _read_paths(image: Any) -> Any:
 
 
 def _check_flat(image: ArrayLike, name: str) -> NDArray[Any]:
-    flat = np.asarray(image)
-    if flat.ndim not in (2, 3) or (flat.ndim == 3 and flat.shape[2] != 3):
-        raise FlatError(
-            f"{name} has shape {flat.shape}; give a flat as (height, width) or (height, width, 3)"
-        )
-    if flat.dtype.kind not in "uif" or 0 in flat.shape:
-        raise FlatError(
-            f"{name} has shape {flat.shape} and type {flat.dtype}; give non-empty real pixel values"
-        )
+    try:
+        flat = check_pixels(image)
+    except FlatError as error:
+        raise FlatError(f"{name}: {error}") from error
     if min(flat.shape[:2]) < 16:
         size = "{} x {} px".format(*flat.shape[1::-1])
         raise FlatError(f"{name} of {size} is too small to be a flat; give the whole sensor")
-    if flat.dtype.kind == "f" and not np.isfinite(flat.sum(dtype=np.float64)):
-        bad = ~np.isfinite(flat).reshape(*flat.shape[:2], -1).all(-1)
-        if bad.any():
-            y, x = np.argwhere(bad)[0]
-            raise FlatError(
-                f"{bad.sum()} pixels of {name} are NaN or infinite, first at x={x}, y={y}; fill "
-                "them in"
-            )
-    if flat.dtype.kind != "u" and max(-float(flat.min()), float(flat.max())) > _LARGEST:
-        raise FlatError(
-            f"{name} has values up to {np.abs(flat).max():.3g}; scale them to at most 1e30 first"
-        )
     return flat
 
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ..runtime.errors import FlatError, check_path
 from ..runtime.image_formats import TIFF_SUFFIXES
 from .containers import is_zarr, open_zarr
-from .pixels import checked_pixels, file_errors
+from .pixels import convert_pixels, file_errors
 from .read import read_flat
 from .tiff import open_tiff, part_reader
 
@@ -64,7 +64,7 @@ class FlatSource(ExitStack):
         self.page: int | None = None
         self.dark: Path | None = None
         with file_errors(path):
-            corner = checked_pixels(read(slice(0, 1), slice(0, 1)))
+            corner = convert_pixels(read(slice(0, 1), slice(0, 1)))
         self.shape: tuple[int, ...] = (*shape[:2], *corner.shape[2:])
         self.dtype = corner.dtype
 
@@ -79,7 +79,7 @@ class FlatSource(ExitStack):
 
         def read(rows: slice, columns: slice) -> NDArray[Any]:
             black = dark.read(columns.start, rows.start, columns.stop, rows.stop)
-            pixels = checked_pixels(plain(rows, columns))
+            pixels = convert_pixels(plain(rows, columns))
             with file_errors(dark.path):
                 return subtract_dark(pixels, black)
 
@@ -105,7 +105,7 @@ class FlatSource(ExitStack):
                 f"part {left, top, right, bottom} is not on a flat of {width} x {height} px"
             )
         with file_errors(self.path):
-            return checked_pixels(self._read(slice(top, bottom), slice(left, right)))
+            return convert_pixels(self._read(slice(top, bottom), slice(left, right)))
 
 
 def open_flat(

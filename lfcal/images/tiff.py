@@ -14,10 +14,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..runtime.errors import FlatError
-from .pixels import check_page, check_size, decode_with_opencv
+from .pixels import apply_palette, check_page, check_size, check_unpacked
 
 __all__ = ["count_tiff_pages", "open_tiff", "part_reader", "read_tiff", "select_tiff_page"]
 
+# Values of the tags SampleFormat, for unsigned integers, and Compression.
+_UNSIGNED = 1
+_UNCOMPRESSED = 1
+_JPEG = (6, 7)
+# Compressions of bytes that know nothing of pixels: LZW, deflate, PackBits, LZMA and ZSTD.
+_OF_BYTES = (5, 8, 32773, 32946, 34925, 50000)
+_TABLES = ("StripOffsets", "TileOffsets")
+# Numbers of samples of a pixel by the kind of its colours: with and without alpha.
+_SAMPLES = {
+    "MINISBLACK": (1, 2),
+    "MINISWHITE": (1, 2),
+    "PALETTE": (1,),
+    "CFA": (1,),
+    "LINEAR_RAW": (1, 3),
+    "RGB": (3, 4),
+    "YCBCR": (3,),
+}
 # Most bytes of a strip or tile: every part would decode a larger one again.
 _MOST_SEGMENT = 1 << 27
 
@@ -60,7 +77,9 @@ def _full_pages(tiff: Any) -> tuple[list[Any], bool]:
         len(following) < kind.offsetsize
         or struct.unpack(kind.offsetformat, following)[0] not in known
     )
-    return [page for page in pages if not page.is_reduced], is_cut_off
+    # Raw photos keep the picture of the sensor below the page of their thumbnail.
+    parts = (part for page in pages for part in (page, *(page.pages or ())))
+    return [part for part in parts if not part.is_reduced], is_cut_off
 
 
 def select_tiff_page(tiff: Any, number: int | None) -> Any:
@@ -69,47 +88,80 @@ def select_tiff_page(tiff: Any, number: int | None) -> Any:
     if number in (None, len(pages)) and is_cut_off:
         raise FlatError(f"truncated TIFF: its list of pages is cut off after {len(pages)}")
     page: Any = pages[check_page(number, len(pages), "TIFF", "pictures", "page")]
-    parts = list(zip(page.dataoffsets, page.databytecounts, strict=True))
-    end = tiff.filehandle.size
-    if not parts or any(count == 0 or start + count > end for start, count in parts):
-        raise FlatError("truncated TIFF: pixel data are missing")
-    if len(parts) < np.prod(page.chunked):
-        raise FlatError("damaged TIFF: strips or tiles are missing from its table")
+    check_size(page.imagewidth, page.imagelength)
+    _check_kind(page)
+    _check_segments(page, tiff.filehandle)
+    return page
+
+
+def _check_kind(page: Any) -> None:
+    """Raise FlatError unless the tags describe a grey or RGB picture."""
     kind = page.photometric.name
-    if kind not in ("MINISBLACK", "MINISWHITE", "RGB", "PALETTE", "CFA", "YCBCR", "LINEAR_RAW"):
-        raise FlatError(f"TIFF pixels of kind {kind} are not read; save as grey or RGB")
+    samples = page.samplesperpixel
+    if samples not in _SAMPLES.get(kind, ()):
+        raise FlatError(
+            f"TIFF pixels of kind {kind} with {samples} samples are not read; save as grey or RGB"
+        )
     if page.axes not in ("YX", "YXS", "SYX"):
         raise FlatError(f"the TIFF holds axes {page.axes}; a flat is one grey or RGB picture")
-    return page
+    # The decoder of JPEG returns RGB. Others return luminance and differences of colours.
+    if kind == "YCBCR" and page.compression not in _JPEG:
+        raise FlatError("TIFF pixels of kind YCBCR are read in JPEG only; save as RGB")
+    if kind == "MINISWHITE" and page.sampleformat != _UNSIGNED:
+        raise FlatError("TIFF pixels of kind MINISWHITE are read as unsigned integers only")
+
+
+def _check_segments(page: Any, file: Any) -> None:
+    """Raise FlatError unless the strips or tiles of a page are just all of its pixels."""
+    import tifffile
+
+    parts = list(zip(page.dataoffsets, page.databytecounts, strict=True))
+    if not parts or any(count == 0 or start + count > file.size for start, count in parts):
+        raise FlatError("truncated TIFF: pixel data are missing")
+    (table,) = (page.tags[name] for name in _TABLES if name in page.tags)
+    if table.count != np.prod(page.chunked):
+        raise FlatError("damaged TIFF: its table of strips or tiles does not fit its size")
+    height, width = _segment_size(page)
+    samples = 1 if page.axes == "SYX" else page.samplesperpixel
+    row = -(-width * samples * page.bitspersample // 8)
+    check_unpacked(height * row * len(parts), file.size)
+    most = max(page.databytecounts)
+    if page.compression in _OF_BYTES:
+        # Decoders leave out what is too much.
+        file.seek(page.dataoffsets[0])
+        packed = file.read(page.databytecounts[0])
+        decompress = tifffile.TIFF.DECOMPRESSORS[page.compression]
+        most = len(decompress(packed, out=(height + 1) * row))
+    if page.compression in (_UNCOMPRESSED, *_OF_BYTES) and most >= (height + 1) * row:
+        raise FlatError("damaged TIFF: its strips or tiles hold more than their pixels")
+
+
+def _segment_size(page: Any) -> tuple[int, int]:
+    """Height and width of the strips or tiles [px]."""
+    first = 1 if page.axes == "SYX" and len(page.chunks) == 3 else 0
+    height, width = page.chunks[first : first + 2]
+    return height, width
 
 
 def read_tiff(source: Path, number: int | None) -> NDArray[Any]:
     """Pixels of the page `number` of a TIFF, or of its only full picture."""
     with open_tiff(source) as tiff:
         page = select_tiff_page(tiff, number)
-        check_size(page.imagewidth, page.imagelength)
-        try:
-            return _convert(page.asarray(), page)
-        except (KeyError, ValueError) as error:
-            if "imagecodecs" not in str(error):
-                raise
-            if number:
-                raise FlatError(
-                    "compressed in a way that is read for the first page only; save without it"
-                ) from error
-            # OpenCV reads the common compressions for which tifffile needs an optional package.
-            grey = page.samplesperpixel < 3 and page.photometric.name != "PALETTE"
-            return decode_with_opencv(source.read_bytes(), grey=grey)
+        return _convert(page.asarray(), page)
 
 
 def _convert(pixels: NDArray[Any], page: Any) -> NDArray[Any]:
     if page.axes == "SYX":
         pixels = np.moveaxis(pixels, 0, -1)
-    if page.photometric.name == "PALETTE":
-        # Colour maps have 16 bits; their values are almost always 8 bits times 257.
-        return (page.colormap >> 8).astype(np.uint8).T[pixels]
-    if page.photometric.name == "MINISWHITE" and pixels.dtype.kind == "u":
-        return np.iinfo(pixels.dtype).max - pixels
+    kind = page.photometric.name
+    if kind == "PALETTE":
+        # Colour maps have 16 bits, but some programs write values of 8 bits.
+        eighth = 8 if page.colormap.max() > 0xFF else 0
+        return apply_palette(pixels, (page.colormap >> eighth).astype(np.uint8).T)
+    if kind == "MINISWHITE" and pixels.dtype.kind == "b":
+        return ~pixels
+    if kind == "MINISWHITE":
+        return pixels.dtype.type((1 << page.bitspersample) - 1) - pixels
     return pixels
 
 
@@ -128,7 +180,7 @@ def part_reader(
     if page.is_memmappable and page.axes != "SYX":
         pixels = tifffile.memmap(source, page=page.index, mode="r")
         return lambda rows, columns: _convert(np.array(pixels[rows, columns]), page), shape
-    side = page.chunks[1:3] if page.axes == "SYX" and len(page.chunks) == 3 else page.chunks[:2]
+    side = _segment_size(page)
     if side[0] * side[1] * page.samplesperpixel * page.dtype.itemsize > _MOST_SEGMENT:
         raise NotImplementedError("strips or tiles are too large to be read in parts")
     lock = Lock()

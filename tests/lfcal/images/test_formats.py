@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import struct
 
 import numpy as np
@@ -134,6 +135,43 @@ def test_hdf5_light_field_of_views_becomes_microimages(tmp_path):
     flat = lfcal.read_flat(tmp_path / "lf.h5")
     assert flat.shape == (24, 50, 3)
     np.testing.assert_array_equal(flat[2 * 3 + 1, 4 * 5 + 3], views[1, 3, 2, 4])
+
+
+@pytest.mark.parametrize("link", ["external", "soft", "storage", "virtual", "group"])
+def test_hdf5_with_data_in_other_files_is_refused_and_nothing_else_is_opened(tmp_path, link):
+    h5py = pytest.importorskip("h5py", reason="HDF5 needs lfrender[hdf5]")
+    other = tmp_path / "pipe"
+    # To open a pipe would wait for its writer forever.
+    os.mkfifo(other)
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        if link == "external":
+            file["flat"] = h5py.ExternalLink(str(other), "/flat")
+        elif link == "group":
+            file["data"] = h5py.ExternalLink(str(other), "/data")
+        elif link == "soft":
+            file["outside"] = h5py.ExternalLink(str(other), "/flat")
+            file["flat"] = h5py.SoftLink("/outside")
+        elif link == "storage":
+            place = [(str(other), 0, 30 * 40)]
+            file.create_dataset("flat", (30, 40), np.uint8, external=place)
+        else:
+            layout = h5py.VirtualLayout((30, 40), np.uint8)
+            layout[:] = h5py.VirtualSource(str(other), "flat", (30, 40))
+            file.create_virtual_dataset("flat", layout)
+    with pytest.raises(lfcal.FlatError, match="copy"):
+        lfcal.read_flat(tmp_path / "a.h5")
+
+
+def test_hdf5_that_declares_more_than_its_bytes_can_hold_is_refused(tmp_path):
+    h5py = pytest.importorskip("h5py", reason="HDF5 needs lfrender[hdf5]")
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        data = file.create_dataset(
+            "flat", (2**15, 2**15), np.uint16, chunks=(2**14, 2**15), compression="gzip"
+        )
+        data.id.write_direct_chunk((0, 0), b"x" * 9)
+        data.id.write_direct_chunk((2**14, 0), b"x" * 9)
+    with pytest.raises(lfcal.FlatError, match="claim to hold"):
+        lfcal.read_flat(tmp_path / "a.h5")
 
 
 def test_hdf5_picture_and_its_white_image_are_read(tmp_path):

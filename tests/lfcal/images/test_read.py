@@ -142,7 +142,7 @@ def test_thumbnail_in_a_tiff_is_skipped_and_a_second_picture_refused(tmp_path, r
         read_flat(tmp_path / "stack.tif")
 
 
-@pytest.mark.parametrize("maximum", [255, 1023, 65535])
+@pytest.mark.parametrize("maximum", [15, 100, 255, 1023, 65535])
 def test_netpbm_values_are_not_rescaled(check, maximum):
     values = (np.arange(12).reshape(3, 4) * (maximum // 12)).astype(
         np.uint8 if maximum < 256 else np.uint16
@@ -150,6 +150,25 @@ def test_netpbm_values_are_not_rescaled(check, maximum):
     head = b"\n# made by hand\n4 3\n%d\n" % maximum
     check(b"P2" + head + " ".join(map(str, values.ravel())).encode(), values)
     check(b"P5" + head + values.astype(values.dtype.newbyteorder(">")).tobytes(), values)
+    rgb = np.dstack([values, values // 2, values * 0])
+    check(b"P3" + head + " ".join(map(str, rgb.ravel())).encode(), rgb)
+    check(b"P6" + head + rgb.astype(values.dtype.newbyteorder(">")).tobytes(), rgb)
+
+
+@pytest.mark.parametrize("body", [b"", b"1 2 3", b"1 2 x 4", b"1 2 99 4"])
+def test_netpbm_without_all_samples_is_refused(tmp_path, body):
+    (tmp_path / "flat.pgm").write_bytes(b"P2 2 2 15\n" + body)
+    with pytest.raises(FlatError, match="damaged image file"):
+        read_flat(tmp_path / "flat.pgm")
+
+
+@pytest.mark.parametrize("extension", ["png", "bmp"])
+def test_indices_are_the_picture_where_all_colours_of_a_palette_are_equal(tmp_path, extension):
+    indices = np.arange(64, dtype=np.uint8).reshape(8, 8)
+    image = Image.fromarray(indices, "P")
+    image.putpalette([0] * 768)
+    image.save(tmp_path / f"flat.{extension}")
+    np.testing.assert_array_equal(read_flat(tmp_path / f"flat.{extension}"), indices)
 
 
 def test_nan_and_infinity_are_refused_with_their_number(tmp_path):

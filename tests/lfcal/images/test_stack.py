@@ -57,7 +57,7 @@ def test_flats_of_different_sizes_are_refused_by_number(noisy):
     images, _, _ = noisy
     with pytest.raises(lfcal.FlatError, match=r"flat 2 is 399 x 320 px, flat 1 is 400 x 320 px"):
         lfcal.calibrate([images[0], images[1][:, 1:]])
-    with pytest.raises(lfcal.FlatError, match=r"flat 2 has shape \(8,\)"):
+    with pytest.raises(lfcal.FlatError, match=r"flat 2: has shape \(8,\)"):
         lfcal.calibrate([images[0], np.zeros(8)])
     stacked = np.stack([np.dstack([image] * 3) for image in images[:2]])
     assert lfcal.calibrate(stacked, kind="white").source == "white"
@@ -69,9 +69,9 @@ def test_flats_of_different_sizes_are_refused_by_number(noisy):
         (np.full((100, 100), np.nan), "NaN"),
         (np.where(np.eye(100) > 0, np.inf, 1.0), "infinite"),
         (np.zeros((10, 10)), "too small"),
-        (np.zeros((50, 50, 4), np.uint8), "shape"),
-        (np.zeros((0, 5)), "non-empty"),
-        (np.ones((64, 64), complex), "real"),
+        (np.zeros((50, 50, 5), np.uint8), "shape"),
+        (np.zeros((0, 5)), "shape"),
+        (np.ones((64, 64), complex), "type complex128"),
     ],
 )
 def test_array_that_cannot_be_a_flat_is_refused_with_the_reason(image, reason):

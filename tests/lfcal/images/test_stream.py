@@ -81,6 +81,25 @@ def test_parts_of_a_zarr_array(tmp_path, version, shape):
     assert_parts_are_those_of_the_whole(path)
 
 
+@pytest.mark.parametrize("location", ["start", "end"])
+def test_a_shard_without_one_of_its_chunks_is_refused_where_the_chunk_is_needed(tmp_path, location):
+    zarr = pytest.importorskip("zarr", minversion="3.0")
+    path = tmp_path / "flat.zarr"
+    sharding = {"shape": (64, 64), "index_location": location}
+    array = zarr.create_array(
+        path, shape=(100, 90), dtype="uint16", chunks=(16, 16), shards=sharding
+    )
+    array[...] = np.random.default_rng(1).integers(1, 60000, (100, 90))
+    assert_parts_are_those_of_the_whole(path)
+    array[16:32, 32:48] = 0
+    with lfcal.open_flat(path) as source:
+        assert source.read(0, 0, 32, 100).shape == (100, 32)
+        with pytest.raises(lfcal.FlatError, match=r"chunk 'c/0/0' is missing or incomplete"):
+            source.read(30, 0, 40, 20)
+    with pytest.raises(lfcal.FlatError, match="incomplete"):
+        lfcal.read_flat(path)
+
+
 def test_a_file_of_another_kind_is_read_as_a_whole(tmp_path):
     from PIL import Image
 

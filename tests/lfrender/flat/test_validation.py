@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lfcal import Calibration, Lattice
+from lfcal import Calibration, FlatError, Lattice
 from lfrender import analyze
 from lfrender.flat.validation import exposure_rows, match_exposure
 
@@ -56,3 +56,25 @@ def test_white_level_is_lowered_in_steps_for_dim_flats_alone():
     ).white_level == pytest.approx(2**-6.5)
     assert match_exposure(np.full((4, 300), 3, np.uint8), _CAMERA) is _CAMERA
     assert exposure_rows(240).max() < 240
+
+
+def test_arrays_are_analysed_as_files_are():
+    grey = np.rint(_plane() * 40000).astype(np.uint16)
+    rgb = np.dstack([grey, grey, grey])
+    expected = analyze(rgb, _CAMERA, "fast").patch_size
+    alpha = np.random.default_rng(0).integers(0, 65536, grey.shape, np.uint16)
+    for flat in (np.dstack([rgb, alpha]), rgb.astype(">u2"), rgb.astype(np.int64)):
+        np.testing.assert_array_equal(analyze(flat, _CAMERA, "fast").patch_size, expected)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda flat: np.ma.masked_greater(flat, 0.8), "values are masked"),
+        (lambda flat: -flat, "negative values only"),
+        (lambda flat: flat * 300, "floats are 1 at white"),
+    ],
+)
+def test_arrays_whose_light_is_unknown_are_refused(change, reason):
+    with pytest.raises(FlatError, match=f"flat.*{reason}"):
+        analyze(change(_plane()), _CAMERA, "fast")
