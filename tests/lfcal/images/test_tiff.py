@@ -58,9 +58,14 @@ def test_orientation_is_ignored_with_any_compression(read, orientation):
 @pytest.mark.parametrize("bits", [10, 12, 14])
 def test_packed_bits_keep_their_values_and_white_as_zero_is_inverted_in_their_range(read, bits):
     values = GREY_16 >> (16 - bits)
-    packed = {"bitspersample": bits, "rowsperstrip": 7}
-    np.testing.assert_array_equal(read(values, photometric="minisblack", **packed), values)
-    inverted = read(values, photometric="miniswhite", **packed)
+    # The highest bit of a sample is stored first, and each row begins with a whole byte.
+    split = values[..., None] >> np.arange(bits)[::-1] & 1
+    rows = np.packbits(split.reshape(len(values), -1).astype(np.uint8), axis=1)
+    strips = [rows[k : k + 8].tobytes() for k in range(0, len(rows), 8)]
+    packed = {"shape": values.shape, "dtype": "uint16", "bitspersample": bits, "rowsperstrip": 8}
+    flat = read(iter(strips), photometric="minisblack", **packed)
+    np.testing.assert_array_equal(flat, values)
+    inverted = read(iter(strips), photometric="miniswhite", **packed)
     np.testing.assert_array_equal(inverted, (1 << bits) - 1 - values)
 
 
