@@ -19,6 +19,7 @@ __all__ = [
     "displacement_at",
     "lens_displacements",
     "lens_offsets",
+    "nearest_first",
     "nearest_index",
     "nearest_lens",
 ]
@@ -104,11 +105,20 @@ def lens_offsets(lattice: Lattice, reach: float) -> tuple[NDArray[np.float32], N
         distance = np.array(
             [np.linalg.norm(lattice.points(some + step) - here, axis=1).min() for step in steps]
         )
-    order = np.argsort(distance, kind="stable")
+    order = nearest_first(distance, lattice.pitch)
     order = order[distance[order] <= limit]
     return np.column_stack([offsets, distance])[order].astype(np.float32), steps[order].astype(
         np.int32
     )
+
+
+def nearest_first(distance: NDArray[np.float64], pitch: float) -> NDArray[np.intp]:
+    """Order of lenses by their distance [px], equal ones in the order given.
+
+    In regular lattices many distances are equal. Rounding errors do not change their order, on
+    which sums and choices between equal depths depend.
+    """
+    return np.argsort(np.rint(distance * (_FINEST / pitch)), kind="stable")
 
 
 def _span(lattice: Lattice, limit: float) -> int:
@@ -116,6 +126,8 @@ def _span(lattice: Lattice, limit: float) -> int:
     return int(np.ceil(limit * np.linalg.norm(np.linalg.inv(lattice.basis), axis=0).max()))
 
 
+# Distances are equal within a pitch over this number.
+_FINEST = 1e6
 # [lattice steps] beyond the flat that are tabulated: the most that kernels ask for.
 _MARGIN = 6
 # Turns of the fixed-point iteration: enough for distortions that change the pitch by a tenth. A

@@ -63,7 +63,7 @@ def list_depths(surface, grid, x, y, lenses, work):
     width = 0.25 * lenses.gap
     # Lenses nearest to a scene point are within two pitches of it, and depths within one are tried
     # there.
-    span = int(3 * pitch / spacing) + 1
+    span = int(3 * pitch / spacing + 0.5) + 1
     at_u = int((x - first) / spacing + 0.5)
     at_v = int((y - first) / spacing + 0.5)
     # Every other value each way: no surface is narrower than these are apart.

@@ -11,7 +11,7 @@ from numba import njit
 
 from lfcal import Lattice
 
-from ...flat.lens_graph import lens_displacements
+from ...flat.lens_graph import lens_displacements, nearest_first
 from ...flat.neighbours import neighbours_of
 
 __all__ = ["LensArray", "PointGrid", "grid_shape", "lens_array", "lens_at"]
@@ -48,7 +48,7 @@ def lens_array(lattice: Lattice, gap: float, radius: float) -> LensArray:
     span = np.arange(-3, 4)
     steps = np.stack(np.meshgrid(span, span), -1).reshape(-1, 2)
     distance = np.linalg.norm(steps @ lattice.basis, axis=1)
-    order = np.argsort(distance, kind="stable")
+    order = nearest_first(distance, lattice.pitch)
     ring = np.ascontiguousarray(steps[order][distance[order] < 2.2 * lattice.pitch])
     neighbours = neighbours_of(lattice)
     return LensArray(
@@ -72,11 +72,9 @@ def grid_shape(lattice: Lattice, cells: int) -> tuple[tuple[int, int], tuple[flo
     """
     width, height = lattice.image_size
     spacing = lattice.pitch / cells
-    return (
-        (int(np.ceil(height / spacing)) + 1, int(np.ceil(width / spacing)) + 1),
-        (-0.5, -0.5),
-        spacing,
-    )
+    # Rounding errors of the pitch add no row.
+    columns, rows = np.ceil(np.round(np.array([width, height]) / spacing, 6)).astype(int).tolist()
+    return (rows + 1, columns + 1), (-0.5, -0.5), spacing
 
 
 @njit(inline="always")

@@ -2,6 +2,7 @@
 
 import functools
 import json
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -265,3 +266,19 @@ def test_only_the_region_of_interest_is_analysed(house):
 def test_invalid_or_empty_regions_raise_an_error(house, roi):
     with pytest.raises(ValueError, match="roi"):
         lfrender.analyze(house.flat, house.truth.calibration, roi=roi)
+
+
+def test_rounding_errors_of_a_lattice_change_no_surface():
+    camera = Camera.design(size=(420, 330), pitch=20, lattice="hex")
+    house = simulate(SCENES["house"](camera), camera, samples=16, seed=4)
+    regular = house.truth.calibration
+    expected = lfrender.analyze(house.flat, regular).surface.patch_size
+    for error in (-1e-13, -1e-14, 1e-14, 1e-13):
+        moved = Lattice(
+            regular.lattice.origin + error,
+            regular.lattice.basis * (1 + error),
+            regular.lattice.image_size,
+            regular.lattice.radius,
+        )
+        found = lfrender.analyze(house.flat, replace(regular, lattice=moved)).surface.patch_size
+        np.testing.assert_allclose(found, expected, atol=1e-4)
