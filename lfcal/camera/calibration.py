@@ -42,7 +42,6 @@ _PARTS: dict[str, Any] = {
     "residuals": Residuals,
     "optics": Optics,
     "lens_blur": LensBlur,
-    "evidence": Evidence,
 }
 # Fields that are stored as they are, and fields of the fit, whose NaN is stored as null.
 _VALUES = ("source", "mosaic", "mosaic_guessed", "white_level", "encoded")
@@ -203,6 +202,7 @@ class Calibration(Frozen):
             "warnings": list(self.warnings),
             **{name: getattr(self, name) for name in _VALUES},
             **{name: (part := getattr(self, name)) and part.to_dict() for name in _PARTS},
+            "evidence": self.evidence and self.evidence.to_dict(),
         }
 
     @classmethod
@@ -217,10 +217,10 @@ class Calibration(Frozen):
         from .schema import check_together, read_fields
 
         known = read_fields(data)
-        with _field_errors("lattice.distortion"):
-            bend = (
-                Distortion.from_dict(known.lattice.distortion) if known.lattice.distortion else None
-            )
+        bend = None
+        if known.lattice.distortion is not None:
+            with _field_errors("lattice.distortion"):
+                bend = Distortion.from_dict(data["lattice"]["distortion"])
         with _field_errors("lattice"):
             lattice = Lattice(
                 known.lattice.origin,
@@ -230,20 +230,18 @@ class Calibration(Frozen):
                 bend,
             )
         with _field_errors("vignetting"):
-            light = known.vignetting and Vignetting(
-                known.vignetting["profile"], known.vignetting["step"]
-            )
-        values = {name: getattr(known, name) for name in _VALUES}
+            light = known.vignetting and Vignetting(known.vignetting.profile, known.vignetting.step)
+        values = {name: getattr(known, name) for name in (*_VALUES, "evidence")}
         fit = {name: getattr(known.fit, name) for name in _FIT}
         values |= {name: float("nan") if value is None else value for name, value in fit.items()}
         # Files of earlier versions do not have all of them.
-        for name in (name for name in _PARTS if data.get(name)):
+        for name in (name for name in _PARTS if getattr(known, name) is not None):
             with _field_errors(name):
                 values[name] = _PARTS[name].from_dict(data[name])
         if "gain_map" in values and version == _ROW_ORDER_VERSION:
             values["gain_map"] = _in_centre_order(values["gain_map"], lattice)
         camera = cls(lattice=lattice, vignetting=light, warnings=tuple(known.warnings), **values)
-        check_together(lattice, known.lattice.pitch, camera.gain_map, light)
+        check_together(lattice, known.lattice.pitch, camera.gain_map, light, camera.evidence)
         return camera
 
     def gain(self) -> NDArray[np.float32]:

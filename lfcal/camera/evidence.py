@@ -9,8 +9,7 @@ fit`). The figures are defined in `lattice_figures`, the proofs that they give i
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields, replace
-from typing import Any
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
@@ -156,14 +155,3 @@ class Evidence(LatticeFigures):
             "probability": self.probability,
             "white_probability": self.white_probability,
         }
-
-    @classmethod
-    def from_dict(cls, data: dict[str, Any]) -> Evidence:
-        """Rebuild the record from `to_dict`; figures that older files lack have their defaults."""
-        known: dict[str, Any] = {
-            field.name: data[field.name] for field in fields(cls) if field.name in data
-        }
-        figures: dict[str, Any] = {
-            name: value if value is None else float(value) for name, value in known.items()
-        }
-        return cls(**figures)

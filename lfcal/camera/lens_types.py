@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from reprlib import repr as brief
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,8 @@ __all__ = ["LensBlur", "LensTypes"]
 
 # Largest side of a repeating cell [lenses]: twice that of any known camera; types fit in int8.
 _LARGEST_CELL = 16
+# Largest size of a figure of blur [px, s / D]; discs of a camera have some px.
+_LARGEST = 1e9
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +147,7 @@ class LensBlur(Frozen):
     def __post_init__(self) -> None:
         aperture = check_number(self.aperture, "aperture")
         error = check_number(self.aperture_error, "aperture_error")
-        if not 0 < aperture < np.inf or not 0 <= error < np.inf:
+        if not 0 < aperture <= _LARGEST or not 0 <= error <= _LARGEST:
             raise ValueError(f"aperture of the microlenses must be positive, got {self.aperture!r}")
         self._set(aperture=aperture, aperture_error=error)
         focus = (np.size(self.focus),)
@@ -157,11 +160,11 @@ class LensBlur(Frozen):
         shapes |= dict.fromkeys(("discs", "disc_errors"), focus + ratios)
         for name, shape in shapes.items():
             values = check_numbers(getattr(self, name), name)
-            least = 0 if name == "disc_errors" else -np.inf
-            if values.shape != shape or not ((least < values) & (values < np.inf)).all():
+            least = 0 if name == "disc_errors" else -_LARGEST
+            if values.shape != shape or not ((least < values) & (values < _LARGEST)).all():
                 raise ValueError(
                     f"{name} of the blur must be {shape} finite numbers, errors positive, got "
-                    f"{values}"
+                    f"{brief(values.tolist())}"
                 )
             self._set(**{name: values})
 

@@ -6,6 +6,7 @@ import json
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
+from reprlib import repr as brief
 from typing import Any
 
 import numpy as np
@@ -53,6 +54,8 @@ _VECTORS = {
 _STEP = 0.1
 _MOST_STEP = 1e-3
 _M_PER_MM = 1e-3
+# Largest size of a length, coefficient or covariance: the sizes of their squares are numbers too.
+_LARGEST = 1e30
 
 
 def object_slopes(image: Array, coefficients: Sequence[float] | Array) -> Array:
@@ -143,7 +146,7 @@ class Optics(Frozen):
         if self.covariance is not None:
             covariance = check_numbers(self.covariance, "covariance")
             shape = (len(OPTICS_PARAMETERS),) * 2
-            if covariance.shape != shape or not np.isfinite(covariance).all():
+            if covariance.shape != shape or not np.abs(covariance).max() <= _LARGEST:
                 raise ValueError(
                     f"covariance must be 14 x 14 finite numbers, got shape {covariance.shape}"
                 )
@@ -303,8 +306,10 @@ class Optics(Frozen):
 def _numbers(name: str, values: Any, length: int | None) -> tuple[float, ...]:
     try:
         found = tuple(float(v) for v in values if not isinstance(v, (bool, str)))
-    except TypeError:
-        found = ()
-    if not np.isfinite(found).all() or len(found) != (len(values) if length is None else length):
-        raise ValueError(f"{name} must be {length or 'a list of'} finite numbers, got {values!r}")
+    except (TypeError, OverflowError):
+        found = (np.inf,)
+    if not np.abs(found).max(initial=0) <= _LARGEST or len(found) != (length or len(values)):
+        raise ValueError(
+            f"{name} must be {length or 'a list of'} finite numbers, got {brief(values)}"
+        )
     return found

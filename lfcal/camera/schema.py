@@ -12,16 +12,39 @@ from ..gain.gain_map import GainMap, Vignetting
 from ..lattice.lattice import Lattice
 from ..runtime.errors import CameraFileError
 from ..runtime.image_formats import Mosaic
+from .evidence import Evidence
 
 __all__ = ["check_plausible", "check_together", "read_fields"]
 
 _Number = Annotated[float, Meta(ge=-1e9, le=1e9)]
+_Length = Annotated[float, Meta(gt=0, le=1e9)]
+_Share = Annotated[float, Meta(ge=0, le=1)]
+_Count = Annotated[int, Meta(ge=0, lt=2**31)]
+_Side = Annotated[int, Meta(ge=1, lt=2**31)]
+# A text that can be printed: surrogates without their partner cannot.
+_Text = Annotated[str, Meta(max_length=1_000_000, pattern=r"^[^\ud800-\udfff]*$")]
 _Point = tuple[_Number, _Number]
+_Table = list[list[_Number]]
 # Largest light over that of the brightest place, or its natural logarithm: measured values lie
 # between -0.3 and 1.1.
 _MOST_LIGHT = 10.0
+_Light = Annotated[float, Meta(ge=-_MOST_LIGHT, le=_MOST_LIGHT)]
+# Shading over the radius of a lens, and light of a lens over that of the polynomial.
+_MOST_SHADE = 100.0
+_Shade = Annotated[float, Meta(ge=-_MOST_SHADE, le=_MOST_SHADE)]
+# Figures of the evidence are shares, correlations, logarithms and numbers of deviations.
+_MOST_FIGURE = 1e6
 # Largest relative difference of the pitch in a file, which has few digits at times, from its basis.
 _PITCH_ERROR = 0.01
+
+
+class _Distortion(Struct):
+    centre: _Point
+    k1: _Number
+    k2: _Number
+    reach: _Length
+    general: _Table | None = None
+    middle: _Point | None = None
 
 
 class _Lattice(Struct):
@@ -29,27 +52,66 @@ class _Lattice(Struct):
     basis: tuple[_Point, _Point]
     radius: _Number
     pitch: _Number | None = None
-    distortion: dict[str, Any] | None = None
+    distortion: _Distortion | None = None
+
+
+class _Vignetting(Struct):
+    step: _Length
+    profile: list[_Light]
 
 
 class _Fit(Struct):
     residual_rms: Annotated[float, Meta(ge=0, le=1e5)] | None
-    lenses_used: Annotated[int, Meta(ge=0)]
-    confidence: Annotated[float, Meta(ge=0, le=1)]
+    lenses_used: _Count
+    confidence: _Share
+
+
+class _LensTypes(Struct):
+    cell: list[list[_Count]]
+    ordered: bool
+    focus: list[_Number | None]
+    confidence: _Share
+
+
+class _GainMap(Struct):
+    profile: str
+    step: _Length
+    radius: _Length
+    level: list[_Light]
+    own: str
+    shade: list[list[_Shade]]
+    rim: _Table
+    cut: list[_Number]
+    dark: _Light
+    types: dict[str, Any] | None = None
+
+
+class _LatticeErrors(Struct):
+    names: list[str]
+    covariance: _Table
 
 
 class _Camera(Struct):
-    image_size: tuple[Annotated[int, Meta(ge=1)], Annotated[int, Meta(ge=1)]]
+    image_size: tuple[_Side, _Side]
     lattice: _Lattice
-    vignetting: dict[str, Any] | None
-    source: Annotated[str, Meta(min_length=1, max_length=100)]
+    vignetting: _Vignetting | None
+    source: Annotated[str, Meta(min_length=1, max_length=100, pattern=r"^[^\ud800-\udfff]*$")]
     fit: _Fit
-    warnings: list[str]
+    warnings: list[_Text]
     # Files of earlier versions do not have the following fields.
     mosaic: Mosaic | None = None
     white_level: Annotated[float, Meta(gt=0, lt=2**53)] | None = None
     encoded: bool | None = None
     mosaic_guessed: bool = False
+    lens_types: _LensTypes | None = None
+    gain_map: _GainMap | None = None
+    errors: _LatticeErrors | None = None
+    evidence: Evidence | None = None
+    # Packed blocks, and records that check their numbers themselves, as other files hold them too.
+    defects: dict[str, str] | None = None
+    residuals: dict[str, str] | None = None
+    optics: dict[str, Any] | None = None
+    lens_blur: dict[str, Any] | None = None
 
 
 def read_fields(data: dict[str, Any]) -> Any:
@@ -65,7 +127,11 @@ def read_fields(data: dict[str, Any]) -> Any:
 
 
 def check_together(
-    lattice: Lattice, pitch: float | None, gain: GainMap | None, vignetting: Vignetting | None
+    lattice: Lattice,
+    pitch: float | None,
+    gain: GainMap | None,
+    vignetting: Vignetting | None,
+    evidence: Evidence | None,
 ) -> None:
     """Raise CameraFileError with the name of a field that does not fit the lattice.
 
@@ -78,19 +144,18 @@ def check_together(
         )
     if vignetting is not None:
         _check_lengths(lattice, {"vignetting.step": vignetting.step})
-        _check_largest("vignetting.profile", vignetting.profile, _MOST_LIGHT)
     if gain is not None:
         _check_lengths(lattice, {"gain_map.radius": gain.radius, "gain_map.step": gain.step})
         side = max(lattice.image_size)
         _check_largest("gain_map.profile", gain.profile, _MOST_LIGHT)
-        _check_largest("gain_map.dark", gain.stray_light, _MOST_LIGHT)
         _check_largest("gain_map.types.light", gain.type_light, _MOST_LIGHT)
-        _check_largest("gain_map.level", gain.level, _MOST_LIGHT)
-        _check_largest("gain_map.own", gain.lens_gain, 100)
-        _check_largest("gain_map.shade", gain.shading, 100)
+        _check_largest("gain_map.own", gain.lens_gain, _MOST_SHADE)
         _check_largest("gain_map.rim", gain.rim, side)
         # A disc of this size cuts along a straight line.
         _check_largest("gain_map.cut", gain.cut, 100 * side)
+    for name, figure in vars(evidence).items() if evidence is not None else ():
+        # Halves of a flat to which no lattice fits differ by infinity.
+        _check_largest(f"evidence.{name}", np.nan_to_num(figure or 0, posinf=0), _MOST_FIGURE)
 
 
 def _check_largest(field: str, values: Any, largest: float) -> None:

@@ -5,6 +5,7 @@ from collections.abc import Iterable
 from contextlib import suppress
 from numbers import Real
 from pathlib import Path
+from reprlib import repr as brief
 from typing import Any
 
 __all__ = [
@@ -112,7 +113,10 @@ def check_number(value: Any, name: str) -> float:
     """An argument as a number; TypeError that names it if it is none."""
     if not isinstance(value, Real):
         raise TypeError(f"{name} must be a number, got {type(value).__name__}")
-    return float(value)
+    try:
+        return float(value)
+    except OverflowError as error:
+        raise ValueError(f"{name} is larger than any number of a computer") from error
 
 
 def check_numbers(values: Any, name: str) -> Any:
@@ -120,7 +124,7 @@ def check_numbers(values: Any, name: str) -> Any:
     import numpy as np
 
     # NumPy takes None for NaN.
-    with suppress(TypeError, ValueError):
+    with suppress(TypeError, ValueError, OverflowError):
         if values is not None:
             return np.array(values, np.float64)
-    raise TypeError(f"{name} must be numbers, got {values!r}")
+    raise TypeError(f"{name} must be numbers, got {brief(values)}")

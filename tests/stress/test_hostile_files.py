@@ -36,7 +36,7 @@ def test_light_beyond_any_measured_is_refused_with_the_name_of_its_field(fields,
     lfcal.load(write(tmp_path, fields))
     vignetting = {**fields["vignetting"], "profile": [1e30] * len(fields["vignetting"]["profile"])}
     with pytest.raises(
-        lfcal.CameraFileError, match=r"field vignetting\.profile: 1e\+30 is not between -10 and 10"
+        lfcal.CameraFileError, match=r"field vignetting\.profile\[0\]: Expected `float` <= 10"
     ):
         lfcal.load(write(tmp_path, {**fields, "vignetting": vignetting}))
     for name, value in (
@@ -49,7 +49,7 @@ def test_light_beyond_any_measured_is_refused_with_the_name_of_its_field(fields,
         ("dark", 1e9),
     ):
         changed = {**fields, "gain_map": {**fields["gain_map"], name: value}}
-        with pytest.raises(lfcal.CameraFileError, match=rf"field gain_map\.{name}: "):
+        with pytest.raises(lfcal.CameraFileError, match=rf"field gain_map\.{name}[:\[]"):
             lfcal.load(write(tmp_path, changed))
 
 

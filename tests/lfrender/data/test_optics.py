@@ -122,3 +122,15 @@ def test_dense_depth_is_written_in_metres(tmp_path):
     write_dense(tmp_path / "depth.tif", dense, distance)
     with tifffile.TiffFile(tmp_path / "depth.tif") as tiff:
         assert "[m]" in tiff.pages[0].description
+
+
+@pytest.mark.parametrize("field", ["focal_length_mm", "pupil_mm", "curvature", "radial", "tilt"])
+def test_numbers_of_many_digits_are_refused_in_one_short_line(tmp_path, field):
+    path = tmp_path / "optics.json"
+    data = optics_of(CAMERA).to_dict()
+    number = 10**400
+    data[field] = [number] * len(data[field]) if isinstance(data[field], list) else number
+    path.write_text(json.dumps(data))
+    with pytest.raises(CameraFileError, match=f"{field.removesuffix('_mm')} must be") as caught:
+        Optics.load(path)
+    assert len(str(caught.value)) < 400 and "\n" not in str(caught.value)
