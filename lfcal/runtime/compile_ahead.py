@@ -13,17 +13,14 @@ import sys
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import nullcontext, suppress
+from contextlib import ExitStack, suppress
 from importlib import import_module
 from importlib.metadata import version
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-try:
-    import fcntl
-except ImportError:  # Windows: processes compile side by side
-    fcntl = None  # type: ignore[assignment]
+from .file_lock import file_lock
 
 __all__ = [
     "SIGNATURE_FILE",
@@ -46,14 +43,10 @@ def is_compiled() -> bool:
 
 def compile_once(processes: int | None = None, progress: _Progress | None = None) -> int:
     """As `compile_ahead`, unless it is done, or another process does it now: that is waited for."""
-    lock: Any = nullcontext()
-    # A folder that cannot be written to holds no kernels either.
-    with suppress(OSError):
-        lock = _record().with_suffix(".lock").open("w")
-    with lock as file:
-        if file is not None and fcntl is not None:
-            # The system frees the lock when this process ends, in any way.
-            fcntl.flock(file, fcntl.LOCK_EX)
+    with ExitStack() as stack:
+        # A folder that cannot be written to holds no kernels either.
+        with suppress(OSError):
+            stack.enter_context(file_lock(_record().with_suffix(".lock"), wait=True))
         if is_compiled():
             return 0
         failed = compile_ahead(processes, progress)

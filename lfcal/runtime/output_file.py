@@ -6,23 +6,28 @@ import os
 import re
 import secrets
 from collections.abc import Collection, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
+from contextvars import ContextVar
 from pathlib import Path
 
 from .errors import LightFieldError, check_path
+from .file_lock import file_lock
 
 __all__ = [
     "OutputError",
     "atomic_write",
     "check_folder",
     "check_output",
+    "claim",
     "discard_unfinished",
     "make_folder",
     "refuse_leftovers",
 ]
 
-# Temporary files that are being written.
+# Temporary files that are being written, and locks.
 _UNFINISHED: set[Path] = set()
+# Outputs that this thread has claimed.
+_CLAIMED: ContextVar[frozenset[Path]] = ContextVar("claimed", default=frozenset())
 
 
 class OutputError(LightFieldError, OSError):
@@ -65,6 +70,33 @@ def _temporary(target: Path) -> Iterator[Path]:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
         _UNFINISHED.discard(temporary)
+
+
+@contextmanager
+def claim(output: str | os.PathLike[str]) -> Iterator[None]:
+    """Keep other processes and threads from an output that is written in many steps.
+
+    A function may claim what its caller has claimed. OutputError that names the other process.
+    """
+    target = Path(output).absolute()
+    claimed = _CLAIMED.get()
+    if target in claimed:
+        yield
+        return
+    lock = target.with_name(f".{target.name}.lock")
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(file_lock(lock))
+        except BlockingIOError as error:
+            raise OutputError(
+                f"{output}: is being written by {error}; wait for its end, or give another output"
+            ) from error
+        except OSError as error:
+            raise OutputError(f"{output}: cannot be written ({error.strerror or error})") from error
+        _UNFINISHED.add(lock)
+        stack.callback(_UNFINISHED.discard, lock)
+        stack.callback(_CLAIMED.reset, _CLAIMED.set(claimed | {target}))
+        yield
 
 
 def discard_unfinished() -> None:

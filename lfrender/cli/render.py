@@ -104,6 +104,8 @@ def _render_in_tiles(
     capture: CaptureInput, given: Any, cluster: dict[str, Any], **options: Any
 ) -> None:
     """Calibrate, analyse and render in tiles; what is finished is kept until the end."""
+    from lfcal.runtime.output_file import claim
+
     from .. import render_large
     from ..large.render import LargeOptions, check_large_picture
 
@@ -112,16 +114,18 @@ def _render_in_tiles(
     depth = None
     with capture.open_parts() as source:
         check_large_picture(output, source.dtype, given.alpha, capture.files)
-        calibration = capture.calibrate_parts(source)
-        if given.patch_size is None:
-            with report.stage("analyze"):
-                depth = _find_depth_in_tiles(capture, source, calibration, output, cluster)
-        about = figures.rendering_settings(depth, given.patch_size, given.detail)
-        chosen = LargeOptions(settings=about, tile=given.tile, **options)
-        with report.stage("render"), report.progress("tiles") as step, option_errors():
-            made = render_large(
-                source, output, calibration, depth, chosen, progress=step, **cluster
-            )
+        # From the analysis on: its result is kept beside the output too.
+        with claim(output):
+            calibration = capture.calibrate_parts(source)
+            if given.patch_size is None:
+                with report.stage("analyze"):
+                    depth = _find_depth_in_tiles(capture, source, calibration, output, cluster)
+            about = figures.rendering_settings(depth, given.patch_size, given.detail)
+            chosen = LargeOptions(settings=about, tile=given.tile, **options)
+            with report.stage("render"), report.progress("tiles") as step, option_errors():
+                made = render_large(
+                    source, output, calibration, depth, chosen, progress=step, **cluster
+                )
     width, height = made.size
     tiles = f"{made.tiles} tiles"
     if made.kept:

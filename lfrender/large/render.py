@@ -11,6 +11,7 @@ import numpy as np
 
 from lfcal import Calibration, FlatSource
 from lfcal.runtime.arrays import Array, Booleans, Floats, Frozen
+from lfcal.runtime.output_file import claim
 from lfcal.runtime.progress import Progress, show_progress
 
 from ..data.depth_map import DepthMap
@@ -135,17 +136,33 @@ def render_large(
     """
     output = Path(path)
     chosen = replace(options or LargeOptions(), **given)
-    alpha = chosen.alpha
     reader = TileReader(source, calibration)
-    check_large_picture(output, source.dtype, alpha)
-    exposed = match_exposure(reader.sample_exposure(), calibration)
-    drawn_as = (chosen.patch_size, chosen.scale, chosen.blend, chosen.detail)
-    renderer = make_renderer(reader.read, exposed, depth, *drawn_as)
-    grid = renderer.grid
+    check_large_picture(output, source.dtype, chosen.alpha)
     workers = Workers(client, threads)
     least = 1
     if client is not None:
         least = _TILES_PER_THREAD * workers.count
+    with claim(output):
+        return _draw(source, output, reader, depth, chosen, workers, least, progress)
+
+
+def _draw(
+    source: FlatSource,
+    output: Path,
+    reader: TileReader,
+    depth: DepthMap | None,
+    chosen: LargeOptions,
+    workers: Workers,
+    least: int,
+    progress: Progress,
+) -> LargePicture:
+    """Draw the picture into an output that is claimed, in at least so many tiles."""
+    alpha = chosen.alpha
+    calibration = reader.calibration
+    exposed = match_exposure(reader.sample_exposure(), calibration)
+    drawn_as = (chosen.patch_size, chosen.scale, chosen.blend, chosen.detail)
+    renderer = make_renderer(reader.read, exposed, depth, *drawn_as)
+    grid = renderer.grid
     side = _tile_size(renderer, reader, chosen.tile, least)
     text = describe(grid.affine(), chosen.settings)
     # Tiles of an earlier run are used if all that the picture depends on is the same.

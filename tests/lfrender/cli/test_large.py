@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 
 import pytest
 import tifffile
@@ -96,3 +98,23 @@ def test_refusals_in_tiles_leave_nothing_behind(house_files, tmp_path, run, asse
     assert_refused(run(*ask, "7", "-o", flat), "is an input")
     assert_refused(run(*ask, "7", "-o", tmp_path / "a.gif"), "unknown output format")
     assert os.listdir(tmp_path) == ["flat.tif"]
+
+
+def test_a_second_process_with_the_same_output_ends_with_2_and_names_the_first(
+    house_files, tmp_path, everything_is_large, run, assert_refused, figures_of
+):
+    flat = as_tiff(house_files, tmp_path)
+    output = tmp_path / "picture.tif"
+    ask = ("render", flat, "-c", house_files / "camera.json", "--patch-size", "7.5", "-o", output)
+    hold = "import sys; from lfcal.runtime.output_file import claim\n"
+    hold += "with claim(sys.argv[1]): print('claimed', flush=True); sys.stdin.read()"
+    command = [sys.executable, "-c", hold, str(output)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as one:
+        assert one.stdout.readline() == "claimed\n"
+        assert_refused(run(*ask), f"is being written by process {one.pid} on ")
+        one.kill()
+    assert not output.exists()
+    # The lock of a killed process is taken over.
+    assert (tmp_path / ".picture.tif.lock").exists()
+    assert figures_of(*ask)["tiles"] >= 1
+    assert sorted(os.listdir(tmp_path)) == ["flat.tif", "picture.tif"]
