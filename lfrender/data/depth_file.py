@@ -2,28 +2,39 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 from zipfile import ZipFile
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lfcal import LensBlur, LightFieldError
+from lfcal.runtime.arrays import Array, Singles
 from lfcal.runtime.input_file import open_regular
 from lfcal.runtime.output_file import atomic_write
 
 from ..runtime.messages import one_line
-from ..runtime.types import AnyPath
+from ..runtime.types import AnyPath, Size
 from .frame_state import FrameState, LocalMatch
 from .surface import Surface
 
 if TYPE_CHECKING:
     from .depth_map import DepthMap
 
-__all__ = ["LARGEST_RATIO", "SMALL", "DepthFileError", "read_depth", "write_depth"]
+__all__ = [
+    "LARGEST_RATIO",
+    "SMALL",
+    "DepthFileError",
+    "camera_digest",
+    "check_extent",
+    "read_depth",
+    "write_depth",
+]
 
 # Version of the files; version 1 had the lenses of some arrays in another order.
 _VERSION = 2
@@ -45,7 +56,56 @@ _SAVED = (
     "magnification",
     "filled",
 )
-_OPTIONAL = ("flat_samples", "centres")
+_OPTIONAL = ("flat_samples", "centres", "camera")
+# [pitch] by which the grid of a surface may end before the border of the flat, or beyond it; its
+# spacing, where that is larger.
+_BORDER = 2
+_SIDE = (1, 2**31 - 1)
+_FLOAT = "fiu"
+
+
+class _Column(NamedTuple):
+    """An array or a number of a file."""
+
+    kinds: str  # of `dtype.kind`
+    axes: tuple[int | str, ...] = ()  # lengths; equal letters are equal lengths
+    least: float = -np.inf
+    most: float = np.inf
+    gaps: bool = False  # whether NaN is allowed
+
+
+_LENSES = _Column(_FLOAT, ("n",), gaps=True)
+_SCHEMA = {
+    "version": _Column("iu"),
+    "pitch": _Column(_FLOAT, (), 1, _SIDE[1]),
+    "image_size": _Column("iu", (2,), *_SIDE),
+    "patch_size": _LENSES,
+    "standard_error": _Column(_FLOAT, ("n",), 0),
+    "confidence": _Column(_FLOAT, ("n",), 0, 1),
+    "drawn": _Column(_FLOAT, ("n",)),
+    "surface": _Column(_FLOAT, ("rows", "columns")),
+    "surface_first": _Column(_FLOAT, (2,), -1e9, 1e9),
+    "surface_spacing": _Column(_FLOAT, (), 1e-9, 1e9),
+    "preset": _Column("U", (), 1, 100),
+    "reason": _Column("iu", ("n",), 0, 4),
+    "mode": _Column("iu", ("n",), -1, 1),
+    "magnification": _LENSES,
+    "filled": _Column("b", ("n",)),
+    "saved_by": _Column("U", ("shortcuts",)),
+    # A sum of shares of tiles may be a rounding error above 1.
+    "saved": _Column(_FLOAT, ("shortcuts",), 0, 1.01),
+    "flat_samples": _Column(_FLOAT, ("samples",), -1e9, 1e9),
+    "centres": _Column(_FLOAT, ("n", 2), -1e9, 1e9),
+    "camera": _Column("U", (), 0, 100),
+    "lens_blur": _Column("U", (), 0, 1e6),
+    "kept": _Column("b", ("n",)),
+    "kept_cost": _LENSES,
+    "kept_offset": _LENSES,
+    "kept_error": _LENSES,
+    "kept_clear": _Column("b", ("n",)),
+    "kept_textured": _Column("b", ("n",)),
+    "digest": _Column("U", (), 0, 100),
+}
 
 
 class DepthFileError(LightFieldError, ValueError):
@@ -80,7 +140,10 @@ def write_depth(depth: DepthMap, path: AnyPath) -> None:
         # Without it, many small changes would pass once the depth has been loaded again.
         values["kept"] = kept
         values |= {f"kept_{name}": value for name, value in reference._asdict().items()}
-    known = {name: value for name, value in values.items() if value is not None}
+    known: dict[str, Any] = {
+        name: np.asarray(value) for name, value in values.items() if value is not None
+    }
+    known["digest"] = np.array(_digest(known))
     with atomic_write(Path(path)) as temporary, open(temporary, "wb") as stream:
         np.savez(stream, **known)
 
@@ -98,12 +161,11 @@ def read_depth(path: AnyPath, make: Callable[..., DepthMap]) -> DepthMap:
             data = dict(file)
         version = int(data["version"])
         if version != _VERSION:
-            raise DepthFileError(
-                f"{path}: version {version} is not known (this is {_VERSION}); {remedy}"
-            )
-        return make(**_fields_of(data))
-    except DepthFileError:
-        raise
+            raise ValueError(f"version {version} is not known (this is {_VERSION})")
+        _check_columns(data)
+        depth = make(**_fields_of(data))
+        _check_together(depth, data)
+        return depth
     except OSError as error:
         raise DepthFileError(
             f"{path}: cannot be read as a depth file ({error.strerror or error})"
@@ -131,15 +193,105 @@ def _fields_of(data: dict[str, Any]) -> dict[str, Any]:
     if "saved" in data:
         pairs = zip(data["saved_by"].tolist(), data["saved"].tolist(), strict=True)
         found["saved"] = dict(pairs)
-    for name in _OPTIONAL:
+    for name in ("flat_samples", "centres"):
         if name in data and data[name].size:
             found[name] = data[name].astype(np.float32)
+    if "camera" in data:
+        found["camera"] = str(data["camera"])
     if "lens_blur" in data:
         found["lens_blur"] = LensBlur.from_dict(json.loads(str(data["lens_blur"])))
     if "kept" in data:
         reference = LocalMatch(*(data[f"kept_{name}"] for name in LocalMatch._fields))
         found["frame_state"] = FrameState(reference, data["kept"])
     return found
+
+
+def camera_digest(image_size: Size, pitch: float, centres: Singles) -> str:
+    """Digest of what a depth map knows of its camera; `centres` (n, 2) [px]."""
+    size = np.array(image_size, np.int64)
+    return _digest({"centres": centres, "image_size": size, "pitch": np.float64(pitch)})
+
+
+def check_extent(depth: DepthMap) -> None:
+    """DepthFileError if the surface is not a grid over the flat, or over a part that was asked."""
+    surface = depth.surface
+    border = max(_BORDER * depth.pitch, surface.spacing)
+    first = np.array(surface.first)
+    beyond = surface.last - np.array(depth.image_size) + 1
+    inside = (first >= -border).all() and (beyond <= border).all()
+    covers = (first <= border).all() and (beyond >= -border).all()
+    # The depth of a region of interest has the surface of that region.
+    if not inside or not (covers or "roi" in depth.saved):
+        raise DepthFileError(
+            f"the surface of the depth map reaches from {_place(first)} to {_place(surface.last)}, "
+            f"not over the flat of {depth.image_size[0]} x {depth.image_size[1]} px; analyze again"
+        )
+
+
+def _place(point: NDArray[np.floating]) -> str:
+    return "({:.6g}, {:.6g})".format(*point)
+
+
+def _digest(arrays: dict[str, Any]) -> str:
+    """SHA-256 of arrays, with their names, types and shapes."""
+    digest = hashlib.sha256()
+    for name in sorted(arrays):
+        values = np.ascontiguousarray(arrays[name])
+        digest.update(f"{name} {values.dtype.str} {np.shape(arrays[name])}".encode())
+        digest.update(values.tobytes())
+    return digest.hexdigest()
+
+
+def _check_columns(data: dict[str, Array]) -> None:
+    """ValueError if an array of a file has another type, shape or range than those of `_SCHEMA`."""
+    lengths: dict[str, int] = {}
+    for name, column in _SCHEMA.items():
+        values = data.get(name)
+        # Empty arrays of files of earlier versions stand for unknown ones.
+        if values is None or (name in _OPTIONAL and not values.size):
+            continue
+        shape = tuple(
+            axis if isinstance(axis, int) else lengths.setdefault(axis, length)
+            for axis, length in zip(column.axes, values.shape, strict=False)
+        )
+        if (
+            values.dtype.kind not in column.kinds
+            or values.shape != shape + column.axes[len(shape) :]
+        ):
+            raise ValueError(f"{name} cannot be {values.dtype} of shape {values.shape}")
+        if column.kinds == "U":
+            # Texts that cannot be encoded cannot be printed.
+            "".join(values.ravel().tolist()).encode()
+            values = np.char.str_len(values)
+        right = (values >= column.least) & (values <= column.most)
+        if column.gaps:
+            right |= np.isnan(values)
+        if not right.all():
+            wrong = values[~right].flat[0]
+            raise ValueError(f"{name} {wrong:.6g} is not from {column.least:g} to {column.most:g}")
+
+
+def _check_together(depth: DepthMap, data: dict[str, Array]) -> None:
+    """ValueError if the arrays of a file contradict each other, or were changed after `save`."""
+    known = ~depth.filled
+    sizes = depth.patch_size[known]
+    derived = {name: getattr(depth, name) for name in ("mode", "filled", "magnification")}
+    derived["drawn"] = np.where(known, depth.patch_size, depth.filled_patch_size)
+    for name, values in derived.items():
+        if name in data and not np.allclose(data[name], values, 1e-3, 1e-3, equal_nan=True):
+            raise ValueError(f"{name} contradicts patch_size")
+    if depth.centres is not None:
+        if depth.camera not in (None, camera_digest(depth.image_size, depth.pitch, depth.centres)):
+            raise ValueError("pitch, image_size and centres are those of different cameras")
+        check_extent(depth)
+        away = depth.surface.at(depth.centres[known]) - sizes
+        # Depth edges and smoothing move single values; a surface of the other sign moves all.
+        if known.any() and np.median(np.abs(away)) > max(1.0, 1.5 * np.median(np.abs(sizes))):
+            raise ValueError("surface contradicts patch_size")
+    if "digest" in data and data.pop("digest") != _digest(data):
+        raise ValueError(
+            "its arrays were changed after they were written; leave out 'digest' if you did that"
+        )
 
 
 def _check_unpacked_size(stream: Any) -> None:

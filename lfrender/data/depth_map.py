@@ -16,7 +16,7 @@ from lfcal.runtime.page import html_card
 
 from ..flat.lens_graph import nearest_lens
 from ..runtime.types import AnyPath, Size
-from .depth_file import DepthFileError, read_depth, write_depth
+from .depth_file import DepthFileError, check_extent, read_depth, write_depth
 from .flat_samples import is_same_flat, sample_flat
 from .frame_state import FrameState
 from .rendering import show_on_axes
@@ -64,10 +64,17 @@ _FULL_RESOLUTION = 0.98
 RARE_MODE = 0.01
 #: Colours of the modes, which colour-blind eyes can tell apart too.
 MODE_COLOURS = {1: (230, 126, 34), -1: (41, 112, 201), 0: (150, 150, 150)}
+# Largest patch size [pitches]: beyond some pitches no two lenses show the same place.
+_MOST_PITCHES = 100
+# Values of a surface in a row or column of a plot: more than a figure has pixels.
+_PLOTTED = 1000
 # Least patch size whose magnification is shown [pitches].
 _LEAST_PATCH = 1e-3
 # Least ratio between the ends of a scale of magnifications.
 _NARROWEST_SCALE = 1.2
+# Part of the pitch up to which pitches and centres are those of one camera, as calibrated from
+# several flats: a right lattice is known to a twentieth of the pitch.
+_SAME_CENTRE = 0.05
 # Distances of output pixels from one to its double: steps of 19 %, while noise moves the depth of a
 # static scene by 1 %.
 _SPACINGS_PER_OCTAVE = 4
@@ -113,6 +120,9 @@ class DepthMap(Frozen):
     lens_blur : LensBlur or None
         Discs of the microlenses as the capture shows them (`lfcal.measure_lens_blur`), None where
         the camera file tells them or too few lenses show the same place.
+    camera : str or None
+        Digest of `image_size`, `pitch` and `centres` as they were analysed, which `load` compares
+        with them; None where that is unknown.
 
     Examples
     --------
@@ -138,6 +148,7 @@ class DepthMap(Frozen):
     flat_samples: Singles | None = field(default=None, repr=False, compare=False)
     centres: Singles | None = field(default=None, repr=False, compare=False)
     lens_blur: LensBlur | None = field(default=None, repr=False, compare=False)
+    camera: str | None = field(default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         check_type(self.surface, Surface, "surface", "lfrender.data.surface.Surface makes one")
@@ -161,9 +172,13 @@ class DepthMap(Frozen):
             raise ValueError(
                 "reason must be 0 for every lens with a patch size, and only for those"
             )
+        if not 0 < self.pitch < np.inf:
+            raise ValueError(f"pitch must be a positive number of px, got {self.pitch!r}")
         for values in (self.filled_patch_size, self.surface.patch_size):
-            if not np.isfinite(values).all():
-                raise ValueError("filled_patch_size and surface must be finite")
+            if not np.abs(values).max(initial=0) <= _MOST_PITCHES * self.pitch:
+                raise ValueError(
+                    f"filled_patch_size and surface must be finite, at most {_MOST_PITCHES} pitches"
+                )
 
     def __len__(self) -> int:
         return len(self.patch_size)
@@ -253,8 +268,8 @@ class DepthMap(Frozen):
         """Draw the magnification over the scene, by default on the current axes; returns them."""
         from matplotlib.colors import LogNorm
 
-        surface = self.surface
-        shown, low, high = self.clipped_magnification()
+        surface = self.surface.thinned(_PLOTTED)
+        shown, low, high = self.clipped_magnification(surface)
         lens = self.nearest_lens(shown.shape, surface.first, surface.spacing)
         if lens is not None:
             shown[self.filled[lens]] = np.nan
@@ -272,13 +287,14 @@ class DepthMap(Frozen):
         bar.minorticks_off()
         return drawn.axes
 
-    def clipped_magnification(self) -> tuple[Singles, float, float]:
+    def clipped_magnification(self, surface: Surface | None = None) -> tuple[Singles, float, float]:
         """(h, w) magnification on the grid of the surface, clipped to a range, and this range.
 
-        98 % of the values lie in the range.
+        98 % of the values lie in the range. `surface` replaces that of the depth map.
         """
         least = _LEAST_PATCH * self.pitch
-        whole = self.pitch / np.maximum(np.abs(self.surface.patch_size), least)
+        patch_size = (surface or self.surface).patch_size
+        whole = self.pitch / np.maximum(np.abs(patch_size), least)
         low, high = magnification_range(whole)
         return np.clip(whole, low, high), low, high
 
@@ -306,7 +322,10 @@ class DepthMap(Frozen):
 
     @classmethod
     def load(cls, path: AnyPath) -> DepthMap:
-        """Read a file written by `save`; DepthFileError if it is missing or damaged."""
+        """Read a file written by `save`; DepthFileError if it is missing or damaged.
+
+        Files of other programs need no digests, but values within their ranges.
+        """
         return read_depth(path, cls)
 
 
@@ -325,10 +344,17 @@ def check_depth(depth: DepthMap, calibration: Calibration) -> None:
     """Raise a CalibrationError if depth map and camera do not belong to each other."""
     check_type(calibration, Calibration, "calibration", CAMERA_ADVICE)
     check_type(depth, DepthMap, "depth", DEPTH_ADVICE)
-    if depth.image_size != calibration.image_size or len(depth) != len(calibration.lattice):
+    lattice = calibration.lattice
+    same = depth.image_size == lattice.image_size and len(depth) == len(lattice)
+    same = same and abs(depth.pitch / lattice.pitch - 1) <= _SAME_CENTRE
+    if same and depth.centres is not None:
+        apart = np.abs(depth.centres - lattice.centres()).max(initial=0)
+        same = apart <= _SAME_CENTRE * lattice.pitch
+    if not same:
         raise CalibrationError(
             "the depth map was made with another camera or flat size; analyze this flat"
         )
+    check_extent(depth)
 
 
 def default_scale(depth: DepthMap) -> float:

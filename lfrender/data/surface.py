@@ -87,6 +87,17 @@ class Surface(Frozen):
     first: tuple[float, float]
     spacing: float
 
+    def __post_init__(self) -> None:
+        if np.ndim(self.patch_size) != 2 or np.size(self.patch_size) == 0:
+            raise ValueError(
+                f"patch sizes of a surface must be rows and columns, got {np.shape(self.patch_size)}"
+            )
+        place = np.array([*self.first, self.spacing], np.float64)
+        if place.shape != (3,) or not np.isfinite(place).all() or self.spacing <= 0:
+            raise ValueError(
+                f"first and spacing of a surface must be finite, got {self.first}, {self.spacing}"
+            )
+
     def __repr__(self) -> str:
         rows, columns = self.patch_size.shape
         return f"Surface({columns} x {rows} patch sizes, {self.spacing:.3g} px apart)"
@@ -94,6 +105,17 @@ class Surface(Frozen):
     def grid(self, edge: float) -> DepthGrid:
         """For kernels; patch sizes that differ by less than `edge` [px] belong to one surface."""
         return DepthGrid(*np.array([*self.first, self.spacing, edge], np.float32))
+
+    @property
+    def last(self) -> NDArray[np.floating]:
+        """(2,) [px]: scene coordinates of the last grid value, order `x, y`."""
+        steps = np.array(self.patch_size.shape[::-1]) - 1
+        return np.array(self.first) + self.spacing * steps
+
+    def thinned(self, most: int) -> Surface:
+        """Every k-th value, so that at most `most` are left in a row or column, for plots."""
+        step = -(-max(self.patch_size.shape) // most)
+        return Surface(self.patch_size[::step, ::step], self.first, step * self.spacing)
 
     def at(self, points: NDArray[np.floating]) -> Singles:
         """(n,) float32 [px]: patch size of the grid value nearest to scene points (n, 2)."""

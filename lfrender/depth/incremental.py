@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lfcal import Calibration, FlatError, Lattice
 
-from ..data.depth_map import DepthMap
+from ..data.depth_map import DepthMap, check_depth
 from ..data.frame_state import FrameState, LocalMatch
 from ..data.surface import Surface
 from ..flat.gray_flat import GrayFlat
@@ -192,9 +192,10 @@ def _check_previous(
     if earlier.shape != flat.shape or earlier.dtype != flat.dtype:
         kinds = " and ".join(f"{a.shape[2]} x {a.dtype}" for a in (earlier, flat))
         raise FlatError(f"both frames must have the same channels and type, they have {kinds}")
-    if len(before) != len(calibration.lattice) or before.preset != preset:
+    check_depth(before, calibration)
+    if before.preset != preset:
         raise ValueError(
-            "the earlier depth map was made with another camera or preset; analyze without previous"
+            "the earlier depth map was made with another preset; analyze without previous"
         )
     return earlier
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from lfcal import Lattice
 
+from ..data.depth_file import camera_digest
 from ..data.depth_map import REASONS, DepthMap
 from ..data.surface import Surface
 from ..flat.gray_flat import GrayFlat
@@ -163,12 +164,14 @@ def rescale_depth(
         for name in ("patch_size", "standard_error", "filled_patch_size")
     }
     surface = Surface(depth.surface.patch_size * scale, (x, y), depth.surface.spacing * factor)
+    centres = lattice.centres().astype(np.float32)
     return replace(
         depth,
         **sizes,
         surface=surface,
         pitch=lattice.pitch,
         image_size=lattice.image_size,
-        centres=lattice.centres().astype(np.float32),
+        centres=centres,
+        camera=camera_digest(lattice.image_size, lattice.pitch, centres),
         flat_samples=depth.flat_samples if flat_samples is None else flat_samples,
     )

@@ -1,8 +1,11 @@
+import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+import lfrender
+from lfcal import CalibrationError
 from lfrender import DepthMap
 from lfrender.data.depth_file import DepthFileError
 from lfrender.data.depth_map import default_scale
@@ -74,3 +77,118 @@ def test_the_scale_keeps_the_resolution_of_the_flat_to_a_tenth(depth):
     for size in np.linspace(1.5, 19.9, 40):
         one = replace(depth, patch_size=np.full(3, size), reason=np.zeros(3))
         assert abs(np.log2(default_scale(one) / size)) <= 1 / 8 + 1e-9
+
+
+@pytest.fixture(scope="module")
+def analysed():
+    flat, camera, _ = lfrender.data.example()
+    return lfrender.analyze(flat, camera)
+
+
+def _altered(depth, **changed):
+    """A depth map with another surface, whose fields are given by their names."""
+    surface = depth.surface
+    fields = {"patch_size": surface.patch_size, "first": surface.first, "spacing": surface.spacing}
+    return replace(depth, surface=Surface(**fields | changed))
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda d: _altered(d, patch_size=d.surface.patch_size[:1, :1]), "not over the flat"),
+        (
+            lambda d: _altered(d, patch_size=np.resize(d.surface.patch_size, (3000, 3000))),
+            "not over the flat",
+        ),
+        (lambda d: _altered(d, patch_size=-d.surface.patch_size), "surface contradicts"),
+        (lambda d: replace(d, patch_size=-d.patch_size), "drawn contradicts"),
+        (lambda d: replace(d, pitch=1.02 * d.pitch), "different cameras"),
+        (lambda d: replace(d, image_size=(241, 180)), "different cameras"),
+        (lambda d: replace(d, confidence=2 * d.confidence + 1), "confidence .* is not from 0 to 1"),
+        (lambda d: replace(d, standard_error=-d.standard_error), "standard_error .* is not from"),
+    ],
+)
+def test_a_depth_map_that_contradicts_itself_is_refused_when_it_is_loaded(
+    analysed, tmp_path, make, message
+):
+    make(analysed).save(tmp_path / "d.npz")
+    with pytest.raises(DepthFileError, match=rf"d\.npz: .*{message}"):
+        DepthMap.load(tmp_path / "d.npz")
+
+
+_NEGATED = {name: lambda values: -values for name in ("patch_size", "drawn", "surface")}
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        *_NEGATED.items(),
+        ("surface", lambda values: values[:0]),
+        ("surface", lambda values: values[None]),
+        ("surface", lambda values: np.full_like(values, 1e30)),
+        ("surface_first", lambda values: values * np.inf),
+        ("surface_spacing", lambda values: 0 * values),
+        ("pitch", lambda values: 0 * values),
+        ("pitch", lambda values: values[None]),
+        ("image_size", lambda values: values.astype(float)),
+        ("patch_size", lambda values: values.astype(str)),
+        ("patch_size", lambda values: values[:-1]),
+        ("preset", lambda _: np.array("\ud800")),
+        ("lens_blur", lambda _: np.array('{"aperture": 1e300}')),
+        ("centres", lambda values: values + np.nan),
+        ("mode", lambda values: -values),
+        ("reason", lambda values: 0 * values + 9),
+        ("saved", lambda values: values + 5),
+    ],
+)
+@pytest.mark.parametrize("digest", [True, False])
+def test_wrong_arrays_of_a_file_are_refused_with_and_without_its_digest(
+    analysed, tmp_path, name, change, digest
+):
+    analysed.save(tmp_path / "d.npz")
+    with np.load(tmp_path / "d.npz") as file:
+        data = dict(file)
+    data[name] = change(data.get(name))
+    if not digest:
+        del data["digest"], data["camera"]
+    np.savez(tmp_path / "d.npz", **data)
+    with pytest.raises(DepthFileError, match=r"d\.npz: not a whole depth file") as caught:
+        DepthMap.load(tmp_path / "d.npz")
+    assert len(str(caught.value).encode().splitlines()) == 1
+
+
+def test_files_without_digests_load_and_small_changes_are_noticed_by_the_digest(analysed, tmp_path):
+    analysed.save(tmp_path / "d.npz")
+    with np.load(tmp_path / "d.npz") as file:
+        data = dict(file)
+    data["surface"] = np.asfortranarray(data["surface"] * np.float32(1.01))
+    np.savez(tmp_path / "d.npz", **data)
+    with pytest.raises(DepthFileError, match="were changed after they were written"):
+        DepthMap.load(tmp_path / "d.npz")
+    for name in ("digest", "camera", "mode", "filled", "magnification"):
+        del data[name]
+    np.savez(tmp_path / "d.npz", **data)
+    loaded = DepthMap.load(tmp_path / "d.npz")
+    assert loaded.surface.patch_size.flags.c_contiguous
+    np.testing.assert_array_equal(loaded.patch_size, analysed.patch_size)
+
+
+def test_a_depth_map_of_another_camera_of_the_same_size_is_not_drawn(analysed):
+    flat, camera, _ = lfrender.data.example()
+    lattice = replace(camera.lattice, origin=camera.lattice.origin + 0.1 * camera.lattice.pitch)
+    with pytest.raises(CalibrationError, match="another camera"):
+        lfrender.render(flat, replace(camera, lattice=lattice), analysed)
+    for wrong in (replace(analysed, pitch=30.0), _altered(analysed, spacing=0.1)):
+        with pytest.raises((CalibrationError, DepthFileError), match=r"camera|not over the flat"):
+            lfrender.render(flat, camera, wrong)
+
+
+def test_a_large_surface_is_shown_in_a_second(analysed):
+    pytest.importorskip("matplotlib")
+    analysed._repr_html_()
+    spacing = analysed.surface.spacing * analysed.surface.patch_size.shape[1] / 4000
+    values = np.resize(analysed.surface.patch_size, (3000, 4000))
+    large = _altered(analysed, patch_size=values, spacing=spacing)
+    start = time.process_time()
+    assert "<img" in large._repr_html_()
+    assert time.process_time() - start < 1
