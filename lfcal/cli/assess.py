@@ -54,7 +54,7 @@ def assess(report: cl.Report, given: Any) -> int:
     output = given.output
     closing = []
     if output is not None:
-        check_output(output, {".html", ".htm"}, [given.white, given.scene, given.camera])
+        check_output(output, {".html", ".htm"})
     if given.pupil is not None and given.pixel is None:
         raise click.UsageError("--pupil needs --pixel")
     with report.stage("read"):

@@ -95,7 +95,7 @@ def calibrate(report: cl.Report, given: Any) -> None:
     """
     images = given.images
     output = given.output
-    check_output(output, {".json"}, [*images, given.dark])
+    check_output(output, {".json"})
     if given.rotation is not None and given.pitch is None:
         raise click.UsageError("--rotation needs --pitch")
     with report.stage("read"):

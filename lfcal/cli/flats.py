@@ -24,7 +24,7 @@ __all__ = ["flatten", "show"]
 def show(report: cl.Report, given: Any) -> None:
     """Draw the circles of CAMERA over the centre and the corners of an image."""
     output = given.output
-    check_output(output, {".png"}, [given.camera, given.image])
+    check_output(output, {".png"})
     with report.stage("read"):
         from .. import check_camera, read_flat
         from .. import show as run
@@ -62,7 +62,7 @@ def flatten(report: cl.Report, given: Any) -> None:
     Pixels are divided by their gain; those of unknown gain stay.
     """
     output = given.output
-    check_output(output, TIFF_SUFFIXES, [given.flat, given.camera])
+    check_output(output, TIFF_SUFFIXES)
     with report.stage("read"):
         from .. import check_camera, read_flat
 

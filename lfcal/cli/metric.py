@@ -43,7 +43,8 @@ _BOARD = (
 )
 _METRIC = (
     cl.option("-c --camera", cl.INPUT, "Camera file of 'lfcal calibrate'.", required=True),
-    cl.output_option("CAMERA.json", "Camera file to write."),
+    # It may be written over: it is the same camera, with more known about it.
+    cl.output_option("CAMERA.json", "Camera file to write.", replaces="camera"),
     *_BOARD,
     cl.option(
         "--pixel",
@@ -93,16 +94,15 @@ def metric(report: cl.Report, given: Any) -> None:
     flats = given.flats
     camera = given.camera
     output = given.output
-    # The camera may be written over: it is the same one, which knows more.
-    check_output(output, {".json"}, flats)
     exchange = {".js", ".yml", ".yaml", ".xml"}
     for path, suffixes in (
+        (output, {".json"}),
         (given.poses, {".json"}),
         (given.page, {".html"}),
         (given.exchange, exchange),
     ):
         if path is not None:
-            check_output(path, suffixes, [*flats, camera, output])
+            check_output(path, suffixes)
     board = _read_board(given)
     with report.stage("read"):
         from .. import calibrate_metric, load, read_flat

@@ -59,11 +59,6 @@ class CaptureInput:
     size: tuple[int, int] | None = None
     pixel_format: str | None = None
 
-    @property
-    def files(self) -> list[Path | None]:
-        """The files that must not be replaced by an output."""
-        return [self.flat, self.camera, self.white, self.depth_file, self.dark]
-
     @cached_property
     def recording(self) -> Recording | None:
         """Camera and settings that stand in the flat itself, if 'lfrender live' has recorded it."""
