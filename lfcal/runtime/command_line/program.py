@@ -22,6 +22,7 @@ from .parameters import INPUTS, InputPath, OutputPath, Pair
 from .report import Report, echo
 
 __all__ = [
+    "DARK",
     "INPUT",
     "READING",
     "SIZE",
@@ -205,6 +206,8 @@ def output_option(
 INPUT = InputPath()
 #: Type of an option that is the size of a flat.
 SIZE = Pair("WxH", "2048x1536")
+#: Option of commands that read flats, in the form of `option`.
+DARK = ("--dark", INPUT, "Dark frame that is subtracted from all flats and white images.")
 #: Options of commands that read flats, in the form of `option`, by the name of the value.
 READING: dict[str, tuple[Any, ...]] = {
     "page": (
