@@ -7,6 +7,7 @@ import math
 import sys
 import time
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any
 
 import click
@@ -226,6 +227,10 @@ def main(
         size, pitch, lattice, rotation, focus=focus, microimage_fill=microimage_fill
     )
     camera = camera.replace(square_aperture=square_aperture, mosaic=mosaic)
+    # A simulation that cannot be written would be lost.
+    places = (output, *output.absolute().parents)
+    with TemporaryFile(dir=next(place for place in places if place.exists())):
+        pass
     if scene == "board":
         from .boards import shoot_board
 

@@ -8,6 +8,7 @@ import click
 
 from ..runtime import command_line as cl
 from ..runtime.output_file import check_output
+from .inputs import read_flats
 
 __all__ = ["assess"]
 
@@ -41,6 +42,7 @@ _UM = cl.Quantity(after="[uµ]m")
     "Largest value that pixels can have, 4095 of 12 bits; dim flats do not show it.",
     "N",
 )
+@cl.option(*cl.DARK)
 @cl.output_option("PAGE.html", "Page with a drawing of each figure.", required=False)
 @cl.report_options
 def assess(report: cl.Report, given: Any) -> int:
@@ -54,20 +56,20 @@ def assess(report: cl.Report, given: Any) -> int:
     output = given.output
     closing = []
     if output is not None:
-        check_output(output, {".html", ".htm"}, [given.white, given.scene, given.camera])
+        check_output(output, {".html", ".htm"})
     if given.pupil is not None and given.pixel is None:
         raise click.UsageError("--pupil needs --pixel")
     with report.stage("read"):
         from .. import assess as run
-        from .. import load, read_flat
+        from .. import load
 
-        white = read_flat(given.white)
-        scene = given.scene and read_flat(given.scene)
+        paths = [path for path in (given.white, given.scene) if path is not None]
+        white, *scenes = read_flats(given, *paths)
         camera = given.camera and load(given.camera, (white.shape[1], white.shape[0]))
     with report.stage("assess"), cl.name_file_in_errors(given.white):
         found = run(
             white,
-            scene,
+            *scenes,
             calibration=camera,
             f_number=given.f_number,
             pupil=given.pupil,

@@ -13,6 +13,7 @@ from ..runtime import command_line as cl
 from ..runtime.image_formats import MOSAICS
 from ..runtime.output_file import check_output
 from .figures import describe, summarise
+from .inputs import read_flats
 
 if TYPE_CHECKING:
     from ..camera.calibration import Calibration
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 __all__ = ["calibrate", "lattice"]
 
 _CAMERA = cl.output_option("CAMERA.json", "Camera file to write.", ".json")
-_FILES = (_CAMERA, cl.option("--dark", cl.INPUT, "Dark frame that is subtracted from the images."))
+_FILES = (_CAMERA, cl.option(*cl.DARK))
 _KNOWN = (
     cl.option(
         "--kind",
@@ -95,21 +96,14 @@ def calibrate(report: cl.Report, given: Any) -> None:
     """
     images = given.images
     output = given.output
-    check_output(output, {".json"}, [*images, given.dark])
+    check_output(output, {".json"})
     if given.rotation is not None and given.pitch is None:
         raise click.UsageError("--rotation needs --pitch")
     with report.stage("read"):
         from .. import calibrate as run
-        from .. import read_flat, subtract_dark
 
-        flats = [
-            read_flat(path, given.page, size=given.size, pixel_format=given.pixel_format)
-            for path in images
-        ]
-        if given.dark is not None:
-            frame = read_flat(given.dark)
-            with cl.name_file_in_errors(given.dark):
-                flats = [subtract_dark(flat, frame) for flat in flats]
+        reading = {name: getattr(given, name) for name in cl.READING}
+        flats = read_flats(given, *images, **reading)
     named = str(images[0])
     if len(images) > 1:
         named += " ..."

@@ -100,9 +100,8 @@ def convert(report: cl.Report, given: Any) -> None:
     from ..camera_files.read_write import convert as run
 
     output = given.output
-    image = given.image
     mode = given.mode
-    check_output(output, FORMATS, [given.camera, image])
+    check_output(output, FORMATS)
     pixels = given.image and read_image(given)
     size = given.size if pixels is None else pixels.shape[1::-1]
     camera = read_camera(given.camera, size)

@@ -11,7 +11,7 @@ from ..runtime import command_line as cl
 from ..runtime.image_formats import TIFF_SUFFIXES
 from ..runtime.output_file import atomic_write, check_output
 from .figures import describe, summarise
-from .inputs import read_camera
+from .inputs import read_camera, read_flats
 
 __all__ = ["flatten", "show"]
 
@@ -19,18 +19,19 @@ __all__ = ["flatten", "show"]
 @cl.command("lfcal show camera.json --image white.png -o show.png")
 @click.argument("camera", type=cl.INPUT)
 @cl.option("--image", cl.INPUT, "A white image or scene capture of that camera.", required=True)
+@cl.option(*cl.DARK)
 @cl.output_option("SHOW.png", "Picture to write.")
 @cl.report_options
 def show(report: cl.Report, given: Any) -> None:
     """Draw the circles of CAMERA over the centre and the corners of an image."""
     output = given.output
-    check_output(output, {".png"}, [given.camera, given.image])
+    check_output(output, {".png"})
     with report.stage("read"):
-        from .. import check_camera, read_flat
+        from .. import check_camera
         from .. import show as run
         from ..display.overlay import find_places_to_check
 
-        flat = read_flat(given.image)
+        (flat,) = read_flats(given, given.image)
         camera = read_camera(given.camera, (flat.shape[1], flat.shape[0]))
     with report.stage("show"):
         pixels = run(camera, flat)
@@ -54,6 +55,7 @@ def show(report: cl.Report, given: Any) -> None:
 @cl.command("lfcal flatten flat.png -c camera.json -o even.tif")
 @click.argument("flat", type=cl.INPUT)
 @cl.option("-c --camera", cl.INPUT, "Camera file with a gain map.", required=True)
+@cl.option(*cl.DARK)
 @cl.output_option("FLAT.tif", "Flattened flat to write.")
 @cl.report_options
 def flatten(report: cl.Report, given: Any) -> None:
@@ -62,11 +64,11 @@ def flatten(report: cl.Report, given: Any) -> None:
     Pixels are divided by their gain; those of unknown gain stay.
     """
     output = given.output
-    check_output(output, TIFF_SUFFIXES, [given.flat, given.camera])
+    check_output(output, TIFF_SUFFIXES)
     with report.stage("read"):
-        from .. import check_camera, read_flat
+        from .. import check_camera
 
-        pixels = read_flat(given.flat)
+        (pixels,) = read_flats(given, given.flat)
         height, width = pixels.shape[:2]
         camera = read_camera(given.camera, (width, height))
     with report.stage("flatten"), cl.name_file_in_errors(given.flat):

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 __all__ = [
     "SIZE_OPTIONS",
     "read_camera",
+    "read_flats",
     "read_image",
     "read_size",
 ]
@@ -26,6 +27,18 @@ SIZE_OPTIONS = (
     cl.option("--size", cl.SIZE, "Size of the flats [px], for files without it (.xml, .csv)."),
     cl.option("--image", cl.INPUT, "An image of that size, instead of --size."),
 )
+
+
+def read_flats(given: Any, *paths: Path, **options: Any) -> list[NDArray[Any]]:
+    """Flats, less the frame of `--dark`; `options` as for `lfcal.read_flat`."""
+    from .. import read_flat, subtract_dark
+
+    flats = [read_flat(path, **options) for path in paths]
+    if given.dark is None:
+        return flats
+    frame = read_flat(given.dark)
+    with cl.name_file_in_errors(given.dark):
+        return [subtract_dark(flat, frame) for flat in flats]
 
 
 def read_image(given: Any) -> NDArray[Any]:

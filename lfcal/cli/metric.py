@@ -9,6 +9,7 @@ import click
 from ..runtime import command_line as cl
 from ..runtime.output_file import check_output
 from .figures import describe_blur, describe_optics
+from .inputs import read_flats
 
 if TYPE_CHECKING:
     from ..boards.board import Board
@@ -43,7 +44,9 @@ _BOARD = (
 )
 _METRIC = (
     cl.option("-c --camera", cl.INPUT, "Camera file of 'lfcal calibrate'.", required=True),
-    cl.output_option("CAMERA.json", "Camera file to write."),
+    cl.option(*cl.DARK),
+    # It may be written over: it is the same camera, with more known about it.
+    cl.output_option("CAMERA.json", "Camera file to write.", replaces="camera"),
     *_BOARD,
     cl.option(
         "--pixel",
@@ -93,21 +96,20 @@ def metric(report: cl.Report, given: Any) -> None:
     flats = given.flats
     camera = given.camera
     output = given.output
-    # The camera may be written over: it is the same one, which knows more.
-    check_output(output, {".json"}, flats)
     exchange = {".js", ".yml", ".yaml", ".xml"}
     for path, suffixes in (
+        (output, {".json"}),
         (given.poses, {".json"}),
         (given.page, {".html"}),
         (given.exchange, exchange),
     ):
         if path is not None:
-            check_output(path, suffixes, [*flats, camera, output])
+            check_output(path, suffixes)
     board = _read_board(given)
     with report.stage("read"):
-        from .. import calibrate_metric, load, read_flat
+        from .. import calibrate_metric, load
 
-        pixels = [read_flat(flat) for flat in flats]
+        pixels = read_flats(given, *flats)
         calibration = load(camera, (pixels[0].shape[1], pixels[0].shape[0]))
     with report.stage("measure"), report.progress("boards") as step:
         pixel = given.pixel and given.pixel / 1000

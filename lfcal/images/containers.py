@@ -70,7 +70,7 @@ def read_hdf5(path: Path, page: int | None) -> NDArray[Any]:
     Raw pictures (plenoptomos `.vox`), flats, and light fields of views `(v, u, y, x)` are read. A
     light field becomes a flat with a microimage of `v x u` pixels about every `(y, x)`.
     """
-    h5py = import_reader("h5py", "hdf5")
+    h5py = import_reader("h5py")
     with h5py.File(path, "r") as file:
         names = _FURTHER if page else _CAPTURES
         found = [name for name in names if _is_dataset(file, name)]
@@ -166,7 +166,7 @@ def _check_stored(name: str, data: Any) -> None:
 
 def read_openexr(path: Path, page: int | None) -> NDArray[np.float32]:
     """(h, w) or (h, w, 3) the only picture of an OpenEXR file: channels R, G, B, or brightness."""
-    exr = import_reader("OpenEXR", "exr")
+    exr = import_reader("OpenEXR")
     check_only_page(page)
     with exr.File(str(path), header_only=True) as file:
         # The library leaves out parts that it cannot read.
@@ -202,7 +202,7 @@ def read_openexr(path: Path, page: int | None) -> NDArray[np.float32]:
 
 def read_raw_photo(path: Path, page: int | None) -> NDArray[Any]:
     """(h, w) uint16 colour mosaic of the visible part of the sensor; of linear DNG (h, w, 3)."""
-    rawpy = import_reader("rawpy", "dng")
+    rawpy = import_reader("rawpy")
     check_only_page(page)
     with path.open("rb") as stream:
         head = stream.read(16)
@@ -325,7 +325,7 @@ def is_zarr(path: Path) -> bool:
 
 def open_zarr(path: Path) -> ZarrFlat:
     """The picture in a Zarr folder; of a group the finest array (OME-Zarr), or the only one."""
-    array: Any = import_reader("zarr", "zarr").open(str(path), mode="r")
+    array: Any = import_reader("zarr").open(str(path), mode="r")
     if not hasattr(array, "shape"):
         names = sorted(array.array_keys())
         attributes = dict(array.attrs)

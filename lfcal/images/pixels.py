@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..runtime.errors import FlatError
 from ..runtime.opencv_log import silent_opencv
+from ..runtime.packages import import_package
 
 __all__ = [
     "MAX_PIXELS",
@@ -88,12 +89,9 @@ def check_only_page(page: int | None) -> None:
         raise FlatError(f"has one picture and no page {page}")
 
 
-def import_reader(name: str, extra: str) -> Any:
-    """The package that reads a format; FlatError with the extra to install if it is missing."""
-    try:
-        return import_module(name)
-    except ImportError as error:
-        raise FlatError(f"needs the package '{name}'; pip install 'lfrender[{extra}]'") from error
+def import_reader(name: str) -> Any:
+    """The package that reads a format; FlatError with how to install it if it is missing."""
+    return import_package(name, "needs", FlatError)
 
 
 @contextmanager

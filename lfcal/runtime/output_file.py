@@ -21,6 +21,7 @@ __all__ = [
     "claim",
     "discard_unfinished",
     "make_folder",
+    "refuse_inputs",
     "refuse_leftovers",
 ]
 
@@ -123,18 +124,35 @@ def check_output(
         )
     if target.is_dir():
         raise OutputError(f"{target}: is a folder; give a file name")
+    refuse_inputs(target, inputs)
+    _check_place(target)
+
+
+def refuse_inputs(
+    path: str | os.PathLike[str], inputs: Iterable[str | os.PathLike[str] | None]
+) -> None:
+    """Raise an OutputError if an output is one of the files that are read for it."""
+    target = Path(path)
     if target.exists() and any(
         source and Path(source).exists() and target.samefile(source) for source in inputs
     ):
         raise OutputError(f"{target}: is an input of this command; give another output")
+
+
+def _check_place(target: Path) -> None:
+    """Raise an OutputError if no file can be made beside another."""
     if not target.parent.is_dir():
         raise OutputError(f"{target}: the folder '{target.parent}' does not exist")
     with _temporary(target):
         pass
 
 
-def check_folder(path: str | os.PathLike[str]) -> Path:
-    """Refuse a folder for results that is a file, or is named like one and does not exist yet."""
+def check_folder(path: str | os.PathLike[str], parents: bool = False) -> Path:
+    """Refuse a folder for results that cannot be written, before anything is computed for it.
+
+    OutputError if it is a file, or is named like one and does not exist yet, or if no file can be
+    made in it. With `parents`, folders above it need not exist.
+    """
     target = Path(path)
     if target.exists() and not target.is_dir():
         raise OutputError(f"{target}: is a file; give a folder")
@@ -144,6 +162,12 @@ def check_folder(path: str | os.PathLike[str]) -> Path:
             "make it first"
         )
         raise OutputError(f"{target}: {problem}")
+    place = target
+    if target.exists():
+        place = target / "result"
+    while parents and not place.parent.exists():
+        place = place.parent
+    _check_place(place)
     return target
 
 
@@ -171,7 +195,7 @@ def make_folder(path: str | os.PathLike[str], parents: bool = False) -> Path:
 
     OutputError if that fails.
     """
-    target = check_folder(path)
+    target = check_folder(path, parents)
     try:
         target.mkdir(parents=parents, exist_ok=True)
     except OSError as error:

@@ -13,19 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import FlatError
+from .packages import import_package
 
 __all__ = ["convert_frame", "import_av", "parse_pixel_format", "rgb_pixels"]
 
 
 def import_av(path: str | os.PathLike[str]) -> Any:
     """The package `av`; FlatError with the name of the file if it is not installed."""
-    try:
-        import av
-    except ImportError as error:
-        raise FlatError(
-            f"{path}: videos need the package 'av'; pip install 'lfrender[video]'"
-        ) from error
-    return av
+    return import_package("av", f"{path}: videos need", FlatError)
 
 
 def convert_frame(frame: Any, name: str, **options: Any) -> Any:

@@ -14,6 +14,8 @@ from .inputs import CaptureInput, is_large
 from .options import at_most_one, capture_command, connect_cluster, option_errors
 
 if TYPE_CHECKING:
+    from lfcal import Calibration, Optics
+
     from ..data.depth_map import DepthMap
 
 __all__ = ["analyze"]
@@ -52,19 +54,26 @@ def analyze(capture: CaptureInput, given: Any) -> None:
     """
     from lfcal import Optics
 
+    from ..data.dense_depth import check_dense_file
+    from ..output.point_cloud import check_mesh_file
+
     report = capture.report
     roi = capture.roi
     output = given.output
     edges = given.edges
-    check_output(output, {".npz"}.union(*_FORMS.values()), capture.files)
+    check_output(output, {".npz"}.union(*_FORMS.values()))
     forms: dict[str, Path] = {}
     for name, suffixes in _FORMS.items():
         if (path := getattr(given, name)) is not None:
-            check_output(path, suffixes, capture.files)
+            check_output(path, suffixes)
             forms[name] = path
         if output.suffix.lower() in suffixes and output not in forms.values():
             at_most_one("--output", output, f"--{name}", path)
             forms[name] = output
+    if "dense" in forms:
+        check_dense_file(forms["dense"])
+    if "mesh" in forms:
+        check_mesh_file(forms["mesh"])
     on_cluster = given.workers or given.scheduler
     whole = {f"--{name}": forms[name] for name in ("ply", "mesh") if name in forms}
     for option, path in whole.items():
@@ -72,26 +81,23 @@ def analyze(capture: CaptureInput, given: Any) -> None:
     at_most_one("--edges", edges or None, "--roi", roi, "--workers or --scheduler", on_cluster)
     if given.unfilled and "dense" not in forms:
         raise click.UsageError("--unfilled is for --dense")
-    optics = given.optics and Optics.load(given.optics)
+    given.optics = given.optics and Optics.load(given.optics)
     pixels = None
     if roi is None and not whole and (on_cluster or (not edges and is_large(capture.flat))):
         with connect_cluster(given, report) as cluster, capture.open_parts() as source:
             calibration = capture.calibrate_parts(source)
+            optics = _choose_optics(given, calibration)
             with report.stage("analyze"):
                 depth = capture.analyze_parts(
                     source, calibration, cluster, skip=not given.exhaustive
                 )
     else:
         pixels, calibration = capture.calibrate(capture.read())
+        optics = _choose_optics(given, calibration)
         with option_errors():
             depth = capture.analyze(
                 pixels, calibration, skip=not given.exhaustive, roi=roi, edges=edges
             )
-    optics = optics or calibration.optics
-    if given.metres and optics is None:
-        raise click.UsageError(
-            "--metres needs optics: a camera file made by 'lfcal metric', or --optics"
-        )
     found = {"depth": str(output), **figures.capture_figures(calibration, depth, optics)}
     closing = []
     with report.stage("write"):
@@ -136,6 +142,16 @@ def analyze(capture: CaptureInput, given: Any) -> None:
     written = dict.fromkeys(map(str, (output, *forms.values())))
     sentences = capture.sentences(calibration, depth, optics)
     report.finish(found, *sentences, f"{', '.join(written)} in {report.took}.", *closing)
+
+
+def _choose_optics(given: Any, calibration: Calibration) -> Optics | None:
+    """The optics of the option, or of the camera; an error if metres need them."""
+    optics: Optics | None = given.optics or calibration.optics
+    if given.metres and optics is None:
+        raise click.UsageError(
+            "--metres needs optics: a camera file made by 'lfcal metric', or --optics"
+        )
+    return optics
 
 
 def _near_and_far(depth: DepthMap) -> str:

@@ -59,11 +59,6 @@ class CaptureInput:
     size: tuple[int, int] | None = None
     pixel_format: str | None = None
 
-    @property
-    def files(self) -> list[Path | None]:
-        """The files that must not be replaced by an output."""
-        return [self.flat, self.camera, self.white, self.depth_file, self.dark]
-
     @cached_property
     def recording(self) -> Recording | None:
         """Camera and settings that stand in the flat itself, if 'lfrender live' has recorded it."""
@@ -90,7 +85,7 @@ class CaptureInput:
         """The pixels of the flat, less the dark frame."""
         from lfcal import read_flat
 
-        return self._subtract_dark(read_flat(self.flat, self.page, **self.raw_layout([self.flat])))
+        return self.subtract_dark(read_flat(self.flat, self.page, **self.raw_layout([self.flat])))
 
     @contextmanager
     def open_parts(self) -> Iterator[FlatSource]:
@@ -151,13 +146,21 @@ class CaptureInput:
                 size = load(self.camera).image_size
         return {"size": size, "pixel_format": self.pixel_format}
 
-    def _subtract_dark(self, pixels: NDArray[Any]) -> NDArray[Any]:
+    def subtract_dark(self, pixels: NDArray[Any]) -> NDArray[Any]:
+        """Pixels less the dark frame, if there is one."""
         if self.dark is None:
             return pixels
-        from lfcal import read_flat, subtract_dark
+        from lfcal import subtract_dark
 
         with name_file_in_errors(self.dark):
-            return subtract_dark(pixels, read_flat(self.dark))
+            return subtract_dark(pixels, self._dark_frame)
+
+    @cached_property
+    def _dark_frame(self) -> NDArray[Any]:
+        from lfcal import read_flat
+
+        assert self.dark is not None
+        return read_flat(self.dark)
 
     def calibrate(
         self, pixels: NDArray[Any], known: Calibration | None = None
@@ -225,7 +228,7 @@ class CaptureInput:
             raise FlatError(
                 f"{path}: white image and flat must be of one size, they have {own} and {other} px"
             )
-        white = self._subtract_dark(white)
+        white = self.subtract_dark(white)
         mosaic = self.mosaic if white.ndim == 2 else None
         with name_file_in_errors(path):
             calibration = calibrate(white, kind="white", mosaic=mosaic)

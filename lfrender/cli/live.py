@@ -34,7 +34,8 @@ __all__ = ["live"]
 )
 @click.argument("source", metavar="SOURCE")
 @cloup.option_group(
-    "Files", *(declare(name, "the first frame") for name in ("live_folder", "camera", "white"))
+    "Files",
+    *(declare(name, "the first frame") for name in ("live_folder", "camera", "white", "dark")),
 )
 @cloup.option_group("Frames", *(declare(name) for name in ("live_format", "live_rate", "mosaic")))
 @cloup.option_group("Depth analysis", declare("live_preset"))
@@ -57,11 +58,14 @@ def live(report: cl.Report, given: Any) -> None:
 
     at_most_one("--camera", given.camera, "--white", given.white)
     source = given.source
-    capture = CaptureInput(report, Path(source), given.camera, given.white, mosaic=given.mosaic)
+    files = {name: getattr(given, name) for name in ("camera", "white", "dark", "mosaic")}
+    capture = CaptureInput(report, Path(source), **files)
     report.compile_kernels()
     with report.stage("open"):
         make_folder(given.output)
         grabber = Grabber(lambda: open_source(source, given.pixel_format, given.fps))
+        # A dark frame of another camera is refused now.
+        capture.subtract_dark(grabber.first.pixels)
     known = bool(given.camera or given.white or capture.recording)
     session = Session(
         grabber,
@@ -70,6 +74,7 @@ def live(report: cl.Report, given: Any) -> None:
         given.output,
         given=known,
         exposure=given.exposure,
+        correct=capture.subtract_dark,
     )
     with closing(session), LiveServer(session, source, given.host, given.port) as server:
         with report.stage("calibrate"):

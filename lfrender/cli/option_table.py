@@ -36,9 +36,7 @@ TABLE = {
     ),
     "white": _row("--white", cl.INPUT, "Calibrate from this white image of the same camera."),
     "depth_file": _row("--depth depth_file", cl.INPUT, "Depth map made by 'lfrender analyze'."),
-    "dark": _row(
-        "--dark", cl.INPUT, "Dark frame that is subtracted from FLAT and from the white image."
-    ),
+    "dark": (cl.DARK, {}),
     "preset": _row(
         "--preset", _PRESET, "How much time the depth analysis may take. [default: balanced]"
     ),

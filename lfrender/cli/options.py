@@ -75,6 +75,10 @@ def capture_command(
                     )
                     raise click.UsageError(f"{option} makes no sense here: {reason}")
             at_most_one("--camera", fields["camera"], "--white", fields["white"])
+            if values.get("workers") or values.get("scheduler"):
+                from ..sequence.workers import check_cluster
+
+                check_cluster()
             flat = given.inputs[0] if several else values.pop("flat")
             return function(CaptureInput(report, flat, **fields), given)
 

@@ -12,7 +12,7 @@ import click
 from lfcal import LightFieldError
 from lfcal.runtime import command_line as cl
 from lfcal.runtime.command_line.interrupts import end_by_interrupt
-from lfcal.runtime.output_file import check_output
+from lfcal.runtime.output_file import check_folder, check_output
 
 from . import figures
 from .inputs import CaptureInput
@@ -48,7 +48,9 @@ def view(capture: CaptureInput, given: Any) -> None:
     several = len(flats) > 1
     page = export is not None and export.suffix != ""
     if page:
-        check_output(export, {".html", ".htm"}, [*flats, *capture.files])
+        check_output(export, {".html", ".htm"})
+    elif export is not None:
+        check_folder(export, parents=True)
     if several and page:
         raise click.UsageError(f"{export} holds one flat: give a folder to --export")
     if several and capture.depth_file is not None:
@@ -134,7 +136,7 @@ def report(capture: CaptureInput, given: Any) -> None:
 
     progress = capture.report
     output = given.output
-    check_output(output, {".html", ".htm"}, capture.files)
+    check_output(output, {".html", ".htm"})
     pixels, calibration, depth = capture.load()
     with progress.stage("render"):
         pictures = draw_pictures(pixels, calibration, depth)

@@ -60,7 +60,7 @@ def render(capture: CaptureInput, given: Any) -> None:
     patch_size = given.patch_size
     traditional = given.traditional
     pixels = capture.read()
-    check_format(output, "picture", dtype=pixels.dtype, alpha=given.alpha, inputs=capture.files)
+    check_format(output, "picture", dtype=pixels.dtype, alpha=given.alpha)
     pixels, calibration = capture.calibrate(pixels)
     whole = traditional or patch_size is not None
     depth = None if whole else _find_depth(capture, pixels, calibration, given.edges)
@@ -113,7 +113,7 @@ def _render_in_tiles(
     output = given.output
     depth = None
     with capture.open_parts() as source:
-        check_large_picture(output, source.dtype, given.alpha, capture.files)
+        check_large_picture(output, source.dtype, given.alpha)
         # From the analysis on: its result is kept beside the output too.
         with claim(output):
             calibration = capture.calibrate_parts(source)
@@ -167,7 +167,8 @@ def _find_depth_in_tiles(
 
 def _check(capture: CaptureInput, given: Any) -> bool:
     """Refuse options that exclude each other; whether the picture is drawn in tiles."""
-    from ..output.formats import is_ome_name
+    from ..large.render import check_large_picture
+    from ..output.formats import check_format, is_ome_name
 
     roi = capture.roi
     patch_size = given.patch_size
@@ -198,6 +199,10 @@ def _check(capture: CaptureInput, given: Any) -> bool:
             raise click.UsageError(
                 f"{option} is for flats that are drawn as a whole: write the pixels as they are"
             )
+    if in_tiles:
+        check_large_picture(given.output, None, given.alpha)
+    else:
+        check_format(given.output, "picture", alpha=given.alpha)
     return bool(in_tiles)
 
 

@@ -75,10 +75,10 @@ def batch(capture: CaptureInput, given: Any) -> int:
     options = _frame_options(capture, given, output in films)
     if given.fps is not None and not films:
         raise click.UsageError("--fps is for films: give -o FILM.mp4 or FILM.mkv")
-    if films == [output, output]:
-        raise click.UsageError(f"--depth-maps must be another file than {output}")
     for path in films:
-        check_format(path, "film", inputs=[*given.inputs, *capture.files])
+        check_format(path, "film")
+    if maps is not None and maps not in films:
+        check_folder(maps)
     chosen = {name: getattr(given, name) for name in ("frames", "start", "end")}
     with option_errors():
         frames = capture.open_frames(given.inputs, **chosen)
@@ -205,6 +205,8 @@ def _sum_up(results: list[FrameResult], seconds: float) -> tuple[dict[str, Any],
 
 def _frame_options(capture: CaptureInput, given: Any, film: bool) -> FrameOptions:
     """The options of `render_frames`, or of `render_film` if the output is a film."""
+    from ..output.raw_video import check_raw_format
+    from ..output.views import check_grid
     from ..sequence.options import FrameOptions
     from ..sequence.view_grid import ViewGrid
 
@@ -224,12 +226,15 @@ def _frame_options(capture: CaptureInput, given: Any, film: bool) -> FrameOption
         if given.suffix is not None or given.eight_bits:
             raise click.UsageError(f"{given.output} is a film: leave out --format and --8bit")
         return options
-    check_folder(given.output)
     suffix = (given.suffix or "tif").lstrip(".")
     if suffix.startswith("yuv") and given.eight_bits:
         raise click.UsageError("--8bit is for pictures: leave it out, or --format yuv")
     if suffix.startswith("yuv") and given.views is None:
         raise click.UsageError("raw video is a film or views: give -o FILM.yuv, or --views")
+    if suffix.startswith("yuv"):
+        check_raw_format(check_folder(given.output), suffix)
+    else:
+        check_grid(given.output, f".{suffix}")
     options = replace(options, eight_bits=given.eight_bits, suffix=f".{suffix}")
     if given.views is None:
         return options

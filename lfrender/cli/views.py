@@ -66,8 +66,9 @@ def refocus(capture: CaptureInput, given: Any) -> None:
         raise click.UsageError("give one of --patch-size, --at and --stack: the depth in focus")
     stack = stack if sizes or at or stack else _PICTURES
     uses = ("animation", "film") if moving else ("picture",)
+    check_format(output, *uses)
     pixels = capture.read()
-    check_format(output, *uses, dtype=pixels.dtype, inputs=capture.files)
+    check_format(output, *uses, dtype=pixels.dtype)
     pixels, calibration = capture.calibrate(pixels)
     depth = None
     # Without --scale the picture lies on the grid of `lfrender render`, which the depth decides.
@@ -149,8 +150,9 @@ def views(capture: CaptureInput, given: Any) -> None:
     if given.animation is None and output.suffix.lower() in MOVING and not still:
         given.animation = _PICTURES
     given.suffix = f".{given.suffix.lstrip('.').lower()}"
+    _check_views(given)
     pixels = capture.read()
-    _check_views(given, pixels.dtype, capture.files)
+    _check_views(given, pixels.dtype)
     pixels, calibration = capture.calibrate(pixels)
     depth = capture.analyze(pixels, calibration)
     offsets = _offsets(given, given.aperture * calibration.lattice.radius)
@@ -197,7 +199,7 @@ def _offsets(given: Any, radius: float) -> list[tuple[float, float]]:
     return grid_offsets(rows, columns, radius)
 
 
-def _check_views(given: Any, dtype: Any, inputs: Any) -> None:
+def _check_views(given: Any, dtype: Any = None) -> None:
     """Raise an error if the views could not be written."""
     from ..output.formats import FORMATS, check_format
     from ..output.posed_files import check_posed_folder
@@ -206,9 +208,9 @@ def _check_views(given: Any, dtype: Any, inputs: Any) -> None:
 
     output = given.output
     if given.animation:
-        check_format(output, "animation", "film", dtype=dtype, inputs=inputs)
+        check_format(output, "animation", "film", dtype=dtype)
     elif given.stereo or given.quilt:
-        check_format(output, "picture", dtype=dtype, inputs=inputs)
+        check_format(output, "picture", dtype=dtype)
     elif output.suffix.lower() in FORMATS and not output.is_dir():
         raise click.UsageError(
             f"{output} is one file: say what it shows with --stereo, --animation N or --quilt "
@@ -219,10 +221,10 @@ def _check_views(given: Any, dtype: Any, inputs: Any) -> None:
     else:
         rows, columns = given.grid or _GRID
         if given.poses:
-            check_grid(output, ".png", None, inputs)
+            check_grid(output, ".png")
             check_posed_folder(output, given.poses, rows * columns)
         else:
-            check_grid(output, given.suffix, dtype, inputs, (rows, columns))
+            check_grid(output, given.suffix, dtype, (rows, columns))
 
 
 def _draw_views(
@@ -335,7 +337,7 @@ def lenslet(report: cl.Report, given: Any) -> None:
     if given.camera is not None:
         _write_pixel_views(report, given)
         return
-    check_output(output, (".png", ".tif", ".tiff"), given.inputs)
+    check_output(output, (".png", ".tif", ".tiff"))
     check_output(camera_file, (".json",))
     with report.stage("read"):
         flat, camera = lenslet_image(views := read_view_grid(given.inputs, given.grid))

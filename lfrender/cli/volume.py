@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from lfcal.runtime.output_file import make_folder
+from lfcal.runtime.output_file import check_folder, make_folder
 
 from . import figures
 from .inputs import CaptureInput
@@ -56,16 +56,18 @@ def volume(capture: CaptureInput, given: Any) -> None:
     report = capture.report
     output = given.output
     one_file = output.suffix.lower() in SUFFIXES
+    if one_file:
+        check_volume_file(output)
+    else:
+        check_folder(output)
     with option_errors():
         optics = (field.name for field in fields(Microscope))
         microscope = Microscope(**{name: getattr(given, name) for name in optics})
         frames = capture.open_frames(given.inputs)
-    if one_file:
-        check_volume_file(output, [*given.inputs, *capture.files])
-        if frames.count != 1:
-            several = f"{output} holds one volume, there are {frames.count} flats"
-            raise click.UsageError(f"{several}: give a folder")
-    else:
+    if one_file and frames.count != 1:
+        several = f"{output} holds one volume, there are {frames.count} flats"
+        raise click.UsageError(f"{several}: give a folder")
+    if not one_file:
         make_folder(output)
     written: list[str] = []
     found: Volume | None = None

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +14,7 @@ from lfcal import Optics, OutputError
 from lfcal.runtime.arrays import Array, Booleans, Floats, Frozen, Singles
 from lfcal.runtime.errors import check_type
 from lfcal.runtime.output_file import atomic_write, check_output
+from lfcal.runtime.packages import check_package
 
 from ..runtime.types import AnyPath
 from .depth_map import DEPTH_ADVICE, DepthMap, default_scale
@@ -128,6 +128,13 @@ def dense_distance(dense: DenseDepth, optics: Optics) -> Singles:
     return optics.distance(dense.patch_size / dense.pitch, points).astype(np.float32)
 
 
+def check_dense_file(path: AnyPath) -> None:
+    """Raise OutputError if dense depth could not be written there."""
+    check_output(path, set(DENSE_FORMATS))
+    if Path(path).suffix.lower() == ".exr":
+        check_package("OpenEXR", f"{path}: .exr files need", OutputError)
+
+
 def write_dense(path: AnyPath, dense: DenseDepth, distance: Singles | None = None) -> None:
     """Write patch sizes [px], or distances, as 32-bit TIFF, OpenEXR or PFM.
 
@@ -150,12 +157,8 @@ def write_dense(path: AnyPath, dense: DenseDepth, distance: Singles | None = Non
         dense, DenseDepth, "dense", "lfrender.data.dense_depth.dense_depth makes one of a DepthMap"
     )
     path = Path(path)
-    check_output(path, set(DENSE_FORMATS))
+    check_dense_file(path)
     suffix = path.suffix.lower()
-    if suffix == ".exr" and find_spec("OpenEXR") is None:
-        raise OutputError(
-            f"{path}: .exr files need the package 'OpenEXR'; pip install 'lfrender[exr]'"
-        )
     values = dense.patch_size
     content = "signed patch size [px]"
     if distance is not None:

@@ -13,6 +13,7 @@ from pathlib import Path
 from lfcal import FlatError, read_flat
 from lfcal.runtime.arrays import Array
 from lfcal.runtime.output_file import atomic_write
+from lfcal.runtime.packages import import_package
 
 from ..runtime.types import AnyPath
 from .samples import cache_folder
@@ -54,12 +55,7 @@ class Registry:
             raise FlatError(
                 f"{name}: is not in the registry at {self.base}; it has {', '.join(self.names[:8])}"
             )
-        try:
-            import pooch
-        except ImportError as error:
-            raise FlatError(
-                "registries need the package 'pooch'; pip install 'lfrender[samples]'"
-            ) from error
+        pooch = import_package("pooch", "registries need", FlatError)
         address = self.base.rstrip("/") + "/"
         place = cache_folder() / "fetched" / hashlib.sha256(self.base.encode()).hexdigest()[:12]
         store = pooch.create(path=place, base_url=address, registry=self.hashes)

@@ -12,6 +12,7 @@ import numpy as np
 from lfcal import LightFieldError
 from lfcal.runtime.arrays import Array, Booleans, Floats, Frozen, exposure_gain, white_of
 from lfcal.runtime.errors import check_type
+from lfcal.runtime.packages import import_package
 from lfcal.runtime.page import html_card
 
 from ..runtime.types import AnyPath, Size
@@ -197,13 +198,7 @@ class Picture:
 
         LightFieldError if the package `xarray` is not installed.
         """
-        try:
-            import xarray
-        except ImportError as error:
-            message = (
-                "arrays with coordinates need the package 'xarray'; pip install 'lfrender[xarray]'"
-            )
-            raise LightFieldError(message) from error
+        xarray = import_package("xarray", "arrays with coordinates need", LightFieldError)
         name, *others = self._layers
         pixels = self._pixels
         height, width = pixels.shape[:2]

@@ -17,7 +17,12 @@ from lfcal.runtime.progress import Progress, show_progress
 from ..data.depth_map import DepthMap
 from ..data.rendering import Part, Rendering
 from ..flat.validation import match_exposure
-from ..output.formats import FORMATS, PictureError, check_format, check_package, read_metadata
+from ..output.formats import (
+    FORMATS,
+    check_format,
+    check_format_package,
+    read_metadata,
+)
 from ..output.picture import describe, with_alpha, write_picture
 from ..output.resume import Checkpoint
 from ..output.tiled_picture import TileWriter, move_into_place
@@ -243,14 +248,12 @@ def _draw_tile(drawing: _Drawing, tile: Part, raw: Array) -> tuple[Array, Boolea
     )
 
 
-def check_large_picture(output: Path, dtype: Any, alpha: bool, inputs: Any = ()) -> None:
+def check_large_picture(output: Path, dtype: Any, alpha: bool) -> None:
     """Raise the errors of `check_format`, but allow that a Zarr array is replaced."""
     if output.suffix.lower() != ".zarr" or not output.is_dir():
-        check_format(output, "picture", dtype=dtype, alpha=alpha, inputs=inputs)
+        check_format(output, "picture", dtype=dtype, alpha=alpha)
         return
-    check_package(output, FORMATS[".zarr"])
-    if any(name is not None and output.samefile(name) for name in inputs):
-        raise PictureError(f"{output}: is an input of this command; give another output")
+    check_format_package(output, FORMATS[".zarr"])
 
 
 def _tile_size(renderer: Renderer, reader: TileReader, tile: int | None, least: int) -> Size:

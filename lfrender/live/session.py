@@ -178,7 +178,8 @@ class Session:
 
     `find_camera` gives the camera of a frame, measured on it unless it is `given`; where it fails,
     the raw frames are shown and it is tried again. Dim frames are shown brighter, by one gain until
-    the next calibration (`exposure`). Recordings and snapshots go into `folder`.
+    the next calibration (`exposure`). Recordings and snapshots go into `folder`, with the pixels of
+    the source; `correct` gives those that are analysed and drawn, such as less a dark frame.
     """
 
     def __init__(
@@ -189,6 +190,7 @@ class Session:
         folder: Path,
         given: bool = False,
         exposure: Exposure = "auto",
+        correct: Callable[[NDArray[Any]], NDArray[Any]] = np.asarray,
     ) -> None:
         self.grabber, self.preset, self.folder = grabber, preset, folder
         self.camera: Calibration | None = None
@@ -196,6 +198,7 @@ class Session:
         self.latency, self.still, self.message, self.saved = 0.0, 0.0, "", ""
         self.scale: float | None = None
         self._exposure, self._gain = exposure, 1.0
+        self._correct = correct
         self.findings: list[str] = []  # how the array is mounted
         self._find_camera, self._given, self._tried = find_camera, given, 0.0
         self._wanted: dict[str, float] = {}
@@ -312,8 +315,12 @@ class Session:
                 self.view = view
                 self._published.notify_all()
 
-    def _calibrate(self, shot: Shot) -> Calibration:
+    def _corrected(self, shot: Shot) -> Shot:
+        return replace(shot, pixels=self._correct(shot.pixels))
+
+    def _calibrate(self, raw: Shot) -> Calibration:
         """Camera and assessment of a frame."""
+        shot = self._corrected(raw)
         try:
             # As recordings hold it: in files, gain is rounded.
             self.camera = camera = Calibration.from_dict(self._find_camera(shot).to_dict())
@@ -340,7 +347,7 @@ class Session:
             if view.shot.recorded or time.monotonic() - self._tried < 2:
                 return self.message
             camera = self._calibrate(view.shot)
-        view.flat = _in_colour(view.shot, camera)
+        view.flat = _in_colour(self._corrected(view.shot), camera)
         if self._watched("sharp", "focus", "depth"):
             before = self._comparable(view, camera)
             earlier = None if before is None else (before.flat, before.depth)

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from lfcal import FlatError, LightFieldError
 from lfcal.runtime.image_formats import IMAGE_SUFFIXES, RAW_SUFFIX, VIDEO_FORMATS
 from lfcal.runtime.opencv_log import set_opencv_log
+from lfcal.runtime.packages import check_package
 
 from ..sequence.frames import open_frames
 
@@ -195,14 +196,11 @@ def _counted(shot: Shot, number: int, before: int | None, ticks: int | None) -> 
 
 
 def _read_gentl(name: str, pixel_format: str | None) -> Iterator[Shot]:
-    try:
-        from genicam.genapi import GenericException as FeatureError
-        from genicam.gentl import GenericException, TimeoutException
-        from harvesters.core import Harvester
-    except ImportError as error:
-        raise SourceError(
-            f"{name}: GenTL producers need the package 'harvesters'; pip install 'lfrender[live]'"
-        ) from error
+    check_package("harvesters", f"{name}: GenTL producers need", SourceError)
+    from genicam.genapi import GenericException as FeatureError
+    from genicam.gentl import GenericException, TimeoutException
+    from harvesters.core import Harvester
+
     producer, _, wanted = name.partition(".cti")
     harvester = Harvester()
     camera = None

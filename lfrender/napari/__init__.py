@@ -1,1 +1,1 @@
-"""The plugin for napari (`pip install 'lfrender[napari]'`): readers and widgets."""
+"""The plugin for napari (`pip install '.[napari]'`): readers and widgets."""

@@ -14,7 +14,6 @@ import struct
 import zlib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -23,6 +22,7 @@ import numpy as np
 from lfcal import LightFieldError, OutputError
 from lfcal.runtime.arrays import Array, Floats
 from lfcal.runtime.output_file import check_output
+from lfcal.runtime.packages import check_package
 
 from ..data.dense_depth import write_exr
 from ..runtime.types import AnyPath
@@ -36,7 +36,7 @@ __all__ = [
     "PictureError",
     "PictureFormat",
     "check_format",
-    "check_package",
+    "check_format_package",
     "describe_pixels",
     "is_ome_name",
     "read_metadata",
@@ -134,8 +134,7 @@ class PictureFormat:
     film: tuple[str, dict[str, str]] | None = (
         None  # encoder of FFmpeg and its options, if it is a film
     )
-    package: str = ""  # that is needed ...
-    extra: str = ""  # ... and the extra of lfrender that installs it
+    package: str = ""  # that is needed
 
     def reduces(self, pixel_type: str) -> bool:
         """Whether it holds 8 bits a channel in the place of pixels of this type."""
@@ -171,7 +170,7 @@ def check_format(
             raise PictureError(f"{path}: {suffix} cannot hold {name} pixels; use .tif")
     if alpha and not kind.alpha:
         raise PictureError(f"{path}: {suffix} cannot hold an alpha channel; use .png or .tif")
-    check_package(path, kind)
+    check_format_package(path, kind)
     if kind.film:
         import av
 
@@ -181,11 +180,10 @@ def check_format(
             raise PictureError(f"{path}: {built}; use another suffix")
 
 
-def check_package(path: AnyPath, kind: PictureFormat) -> None:
+def check_format_package(path: AnyPath, kind: PictureFormat) -> None:
     """Raise PictureError if the package that a format needs is not installed."""
-    if kind.package and find_spec(kind.package) is None:
-        needs = f"{Path(path).suffix} files need the package '{kind.package}'"
-        raise PictureError(f"{path}: {needs}; pip install 'lfrender[{kind.extra}]'")
+    if kind.package:
+        check_package(kind.package, f"{path}: {Path(path).suffix} files need", PictureError)
 
 
 def describe_pixels(pixels: Array) -> str:
@@ -386,12 +384,12 @@ _JPEG = PictureFormat(("uint8",), _write_small, alpha=False)
 def _film(
     pixel_types: tuple[str, ...], encoder: str, options: dict[str, str] | None = None
 ) -> PictureFormat:
-    return PictureFormat(pixel_types, film=(encoder, options or {}), package="av", extra="video")
+    return PictureFormat(pixel_types, film=(encoder, options or {}), package="av")
 
 
 #: The formats by the suffix of their files.
 FORMATS = {
-    ".exr": PictureFormat(("float32",), _write_exr, package="OpenEXR", extra="exr"),
+    ".exr": PictureFormat(("float32",), _write_exr, package="OpenEXR"),
     ".gif": PictureFormat(_WHOLE, animation="GIF"),
     ".jpeg": _JPEG,
     ".jpg": _JPEG,
@@ -408,7 +406,5 @@ FORMATS = {
     ".webp": PictureFormat(("uint8",), _write_small, animation="WEBP"),
     # Raw planes, by default 4:2:0 of 10 bits, as coders of video take them.
     ".yuv": _film(_WHOLE, "rawvideo"),
-    ".zarr": PictureFormat(
-        _ALL, _write_zarr_picture, folder=True, tiles=True, package="zarr", extra="zarr"
-    ),
+    ".zarr": PictureFormat(_ALL, _write_zarr_picture, folder=True, tiles=True, package="zarr"),
 }

@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from lfcal import Calibration, LightFieldError, Optics
+from lfcal import Calibration, LightFieldError, Optics, OutputError
 from lfcal.runtime.arrays import Array, Floats, to_eight_bits
 from lfcal.runtime.errors import check_type
 from lfcal.runtime.output_file import atomic_write, check_output
+from lfcal.runtime.packages import check_package
 
 from ..data.dense_depth import DenseDepth, dense_depth
 from ..data.depth_map import DepthMap, check_depth
@@ -19,7 +20,15 @@ from ..data.surface import edge_step
 from ..rendering.render import render
 from ..runtime.types import AnyPath
 
-__all__ = ["CLOUD_SUFFIXES", "MESH_SUFFIXES", "mesh", "point_cloud", "write_mesh", "write_points"]
+__all__ = [
+    "CLOUD_SUFFIXES",
+    "MESH_SUFFIXES",
+    "check_mesh_file",
+    "mesh",
+    "point_cloud",
+    "write_mesh",
+    "write_points",
+]
 
 CLOUD_SUFFIXES = (".ply", ".pcd")
 MESH_SUFFIXES = (".glb", ".ply")
@@ -108,15 +117,11 @@ def mesh(
     >>> surface.faces.shape[1], surface.visual.material.baseColorTexture.size
     (3, (71, 54))
     """
-    try:
-        from trimesh import Trimesh
-        from trimesh.visual import TextureVisuals
-        from trimesh.visual.material import PBRMaterial
-    except ImportError as error:
-        raise LightFieldError(
-            "meshes need the package 'trimesh'; pip install 'lfrender[mesh]'"
-        ) from error
+    check_package("trimesh", "meshes need", LightFieldError)
     from PIL import Image
+    from trimesh import Trimesh
+    from trimesh.visual import TextureVisuals
+    from trimesh.visual.material import PBRMaterial
 
     dense, places, metres = _places(calibration, depth, optics, points_per_pitch)
     picture = render(flat, calibration, depth)
@@ -218,6 +223,12 @@ def write_points(path: AnyPath, points: Array, metres: bool = False) -> None:
         temporary.write_bytes("\n".join(header).encode() + data)
 
 
+def check_mesh_file(path: AnyPath) -> None:
+    """Raise an error if a mesh could not be made, or not be written there."""
+    check_output(path, MESH_SUFFIXES)
+    check_package("trimesh", f"{path}: meshes need", OutputError)
+
+
 def write_mesh(path: AnyPath, surface: Any) -> None:
     """Write a mesh as glTF (`.glb`) with its texture, or as PLY with colours.
 
@@ -232,7 +243,7 @@ def write_mesh(path: AnyPath, surface: Any) -> None:
     ...     Path(folder, "scene.glb").read_bytes()[:4]
     b'glTF'
     """
-    check_output(path, MESH_SUFFIXES)
+    check_mesh_file(path)
     shown = surface.copy()
     if Path(path).suffix.lower() == ".glb":
         data = shown.apply_transform(np.diag([1.0, -1.0, -1.0, 1.0])).export(file_type="glb")

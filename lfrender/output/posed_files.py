@@ -58,7 +58,12 @@ class _Posed(NamedTuple):
 
 
 def check_posed_folder(folder: AnyPath, kind: PoseFormat, count: int) -> None:
-    """OutputError if `count` new posed views would leave some of an earlier run."""
+    """OutputError if `count` new posed views would leave some of an earlier run.
+
+    PictureError if a package that they need is not installed.
+    """
+    if kind == "rvs":
+        check_raw_format(folder, "yuv")
     views = [_view_name(number) for number in range(count)]
     mask = _MASK_NAMES.get(kind, "")
     kept = {f"{view}{suffix}" for view in views for suffix in (".png", ".exr", ".tif")}
@@ -106,8 +111,6 @@ def write_posed_views(
             f"{folder}: poses are written for {', '.join(POSE_FORMATS)}, not {kind!r}"
         )
     check_posed_folder(folder, kind, len(offsets))
-    if kind == "rvs":
-        check_raw_format(folder, "yuv")
     target = make_folder(folder)
     drawn = list(views)
     posed = []

@@ -18,7 +18,7 @@ from lfcal.runtime.output_file import atomic_write, make_folder, refuse_leftover
 from lfcal.runtime.video import convert_frame, parse_pixel_format
 
 from ..runtime.types import AnyPath
-from .formats import FORMATS, PictureError, check_package
+from .formats import FORMATS, PictureError, check_format_package
 
 __all__ = ["check_raw_format", "frame_bytes", "view_name", "write_view_videos", "yuv_frame"]
 
@@ -31,7 +31,7 @@ def check_raw_format(folder: AnyPath, pixel_format: str) -> str:
 
     `"yuv"` stands for 4:2:0 with 10 bits.
     """
-    check_package(Path(folder) / "v000.yuv", FORMATS[".yuv"])
+    check_format_package(Path(folder) / "v000.yuv", FORMATS[".yuv"])
     if pixel_format == "yuv":
         return "yuv420p10"
     try:

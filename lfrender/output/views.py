@@ -42,7 +42,6 @@ def check_grid(
     folder: AnyPath,
     suffix: str,
     dtype: Any = None,
-    inputs: Iterable[Any] = (),
     grid: Size | None = None,
 ) -> None:
     """Raise the errors of `check_format` if a folder of views could not be made.
@@ -53,7 +52,7 @@ def check_grid(
     inside = target.parent
     if target.is_dir():
         inside = target
-    check_format(inside / f"view{suffix}", "picture", dtype=dtype, inputs=inputs)
+    check_format(inside / f"view{suffix}", "picture", dtype=dtype)
     if grid is not None:
         rows, columns = grid
         refuse_leftovers(

@@ -172,9 +172,8 @@ def open_frames(
     Parameters
     ----------
     inputs : path-likes
-        Image files, TIFF files of several pages, videos, raw or not (these need the package `av`:
-        `pip install 'lfrender[video]'`), and folders, whose image files are taken in the order of
-        the numbers in their names.
+        Image files, TIFF files of several pages, videos, raw or not (these need the package `av`),
+        and folders, whose image files are taken in the order of the numbers in their names.
     size, pixel_format
         Of raw video (`.yuv`), as for `lfcal.read_flat`.
     dark : path-like or None

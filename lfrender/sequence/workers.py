@@ -11,6 +11,7 @@ from threading import Lock
 from typing import Any
 
 from lfcal import LightFieldError, OutputError
+from lfcal.runtime.packages import check_package
 
 __all__ = ["Workers", "ahead", "connect"]
 
@@ -159,15 +160,17 @@ def _result(future: Any) -> Any:
     return result
 
 
+def check_cluster() -> None:
+    """Raise OutputError if the package for work in several processes is not installed."""
+    check_package("distributed", "several processes need", OutputError)
+
+
 @contextmanager
 def connect(workers: int | None, scheduler: str | None, timeout: float = 15.0) -> Iterator[Any]:
     """A client of a scheduler such as `"tcp://host:8786"`, or of new processes on this machine."""
-    try:
-        from distributed import Client, LocalCluster
-    except ImportError as error:
-        raise OutputError(
-            "clusters need the package 'distributed'; pip install 'lfrender[cluster]'"
-        ) from error
+    check_cluster()
+    from distributed import Client, LocalCluster
+
     if scheduler is None:
         options: dict[str, Any] = {"threads_per_worker": 1, "dashboard_address": None}
         with LocalCluster(n_workers=workers, **options) as cluster, Client(cluster) as client:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from lfcal import FlatError
 from lfcal.runtime.output_file import atomic_write, check_output
 
-from ..output.formats import FORMATS, check_package, write_ome_zarr
+from ..output.formats import FORMATS, check_format_package, write_ome_zarr
 from ..runtime.types import AnyPath
 
 if TYPE_CHECKING:
@@ -23,10 +23,10 @@ SUFFIXES = (".tif", ".tiff", ".zarr")
 _FIELDS = ("spacing", "origin", "unit", "slopes", "pitch", "fit", "warnings")
 
 
-def check_volume_file(path: AnyPath, inputs: Any = ()) -> None:
+def check_volume_file(path: AnyPath) -> None:
     """Raise OutputError or PictureError if a volume could not be written."""
-    check_output(path, SUFFIXES, inputs)
-    check_package(path, FORMATS[Path(path).suffix.lower()])
+    check_output(path, SUFFIXES)
+    check_format_package(path, FORMATS[Path(path).suffix.lower()])
 
 
 def write_volume(path: AnyPath, volume: Volume) -> None:

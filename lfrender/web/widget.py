@@ -7,6 +7,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from lfcal import Calibration, LightFieldError
+from lfcal.runtime.packages import check_package
 
 from ..data.depth_map import DepthMap
 from .templates import read_asset
@@ -40,13 +41,9 @@ def light_field_widget(
     >>> widget = light_field_widget(flat, camera, depth)  # doctest: +SKIP
     >>> widget.plane = -6.2  # doctest: +SKIP
     """
-    try:
-        import anywidget
-        import traitlets
-    except ImportError as error:
-        raise LightFieldError(
-            "the widget needs the package 'anywidget'; pip install 'lfrender[notebook]'"
-        ) from error
+    check_package("anywidget", "the widget needs", LightFieldError)
+    import anywidget
+    import traitlets
 
     class LightField(anywidget.AnyWidget):  # type: ignore[misc, name-defined]
         """The viewer of a light field."""

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from data_synth import SCENES, load_capture
+from data_synth import SCENES, load_capture, simulator
 from data_synth.cli import main
 
 
@@ -85,6 +85,15 @@ def test_bad_input_is_one_line_and_code_2(args: list[str], tmp_path: Path) -> No
     assert result.stderr.startswith("lfsynth: ")
     assert len(result.stderr.strip().splitlines()) == 1
     assert not (tmp_path / "out").exists()
+
+
+def test_a_place_where_nothing_can_be_written_is_refused_before_the_simulation(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").touch()
+    monkeypatch.setattr(simulator, "simulate", lambda *_, **__: pytest.fail("simulated"))
+    result = run("blank", "-o", str(tmp_path / "file" / "capture"))
+    assert result.exit_code == 2 and len(result.stderr.splitlines()) == 1
 
 
 def test_output_that_cannot_be_a_folder_is_refused(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from .parameters import ExposureValue, OutputPath, Pair, Quantity, several_inputs
 from .program import (
+    DARK,
     INPUT,
     READING,
     SIZE,
@@ -15,6 +16,7 @@ from .program import (
 from .report import Report, echo, name_file_in_errors
 
 __all__ = [
+    "DARK",
     "INPUT",
     "READING",
     "SIZE",

@@ -112,14 +112,16 @@ class InputPath(click.Path):
 class OutputPath(click.Path):
     """A file or folder to be written.
 
-    `-` is stdout, in the format `piped`; `-.tif` is stdout in the format of that suffix.
+    `-` is stdout, in the format `piped`; `-.tif` is stdout in the format of that suffix. A command
+    refuses an output that is one of its inputs, other than the parameter `replaces`.
     """
 
     name = "path"
 
-    def __init__(self, piped: str = "") -> None:
+    def __init__(self, piped: str = "", replaces: str = "") -> None:
         super().__init__(path_type=Path)
         self.piped = piped
+        self.replaces = replaces
 
     def convert(self, value: Any, param: _Parameter, ctx: _Context) -> Any:
         if ctx is None or not (value == "-" or str(value).startswith("-.")):

@@ -16,11 +16,13 @@ import click
 import cloup
 
 from ..errors import LightFieldError
+from ..output_file import refuse_inputs
 from .interrupts import INTERRUPTED, handle_interrupts, leave_if_interrupted
 from .parameters import INPUTS, InputPath, OutputPath, Pair
 from .report import Report, echo
 
 __all__ = [
+    "DARK",
     "INPUT",
     "READING",
     "SIZE",
@@ -153,7 +155,24 @@ class _Command(cloup.Command):
                 raise click.ClickException(
                     f"{path}: is a device or a pipe; give a file, or - for a pipe"
                 )
+        self._check_outputs(ctx)
         return super().invoke(ctx)
+
+    def _check_outputs(self, ctx: click.Context) -> None:
+        """Refuse two outputs of one name, and outputs that would replace an input."""
+        outputs: dict[str, str] = {}
+        for param in self.params:
+            path = ctx.params[param.name or ""]
+            if path is None or not isinstance(param.type, OutputPath):
+                continue
+            option = param.opts[-1]
+            first = outputs.setdefault(os.path.realpath(path), option)
+            if first != option:
+                raise click.UsageError(f"{first} and {option} name the same output {path}", ctx)
+            # A Zarr array is a folder.
+            if path.suffix.lower() == ".zarr" or not path.is_dir():
+                replaced = ctx.params.get(param.type.replaces)
+                refuse_inputs(path, [file for file in ctx.meta.get(INPUTS, ()) if file != replaced])
 
 
 def command(*examples: str) -> Callable[[Any], cloup.Command]:
@@ -170,18 +189,25 @@ def option(
     return click.option(*names.split(), help=text, metavar=metavar, **more)
 
 
-def output_option(metavar: str, text: str, piped: str = "", **more: Any) -> Callable[[Any], Any]:
-    """The option `--output`; `piped` is the format on stdout with `-`, empty if refused."""
+def output_option(
+    metavar: str, text: str, piped: str = "", replaces: str = "", **more: Any
+) -> Callable[[Any], Any]:
+    """The option `--output`; `piped` is the format on stdout with `-`, empty if refused.
+
+    The output may replace the input `replaces`.
+    """
     if piped:
         text += f" With -, {piped[1:].upper()} to stdout."
     more.setdefault("required", True)
-    return option("-o --output", OutputPath(piped), text, metavar, **more)
+    return option("-o --output", OutputPath(piped, replaces), text, metavar, **more)
 
 
 #: Type of an argument that names a file to read.
 INPUT = InputPath()
 #: Type of an option that is the size of a flat.
 SIZE = Pair("WxH", "2048x1536")
+#: Option of commands that read flats, in the form of `option`.
+DARK = ("--dark", INPUT, "Dark frame that is subtracted from all flats and white images.")
 #: Options of commands that read flats, in the form of `option`, by the name of the value.
 READING: dict[str, tuple[Any, ...]] = {
     "page": (

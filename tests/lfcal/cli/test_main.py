@@ -218,6 +218,37 @@ def test_show_and_flatten_say_that_a_camera_does_not_fit(house, house_files, mov
     assert_refused(refused, "not made with this camera")
 
 
+def test_every_command_that_reads_flats_subtracts_the_dark_frame(house, house_files, tmp_path):
+    camera = house_files / "camera.json"
+    dark = np.full(house.flat.shape[:2], 16, np.uint8)
+    cv2.imwrite(str(tmp_path / "dark.png"), dark)
+    for name in ("flat", "white"):
+        pixels = lfcal.read_flat(house_files / f"{name}.png")
+        lifted = np.minimum(pixels, 239) + 16
+        cv2.imwrite(
+            str(tmp_path / f"{name}.png"), lifted[..., ::-1] if lifted.ndim == 3 else lifted
+        )
+        less = np.minimum(pixels, 239)
+        cv2.imwrite(str(tmp_path / f"less_{name}.png"), less[..., ::-1] if less.ndim == 3 else less)
+    for command in (
+        ("show", camera, "--image", "FLAT", "-o", tmp_path / "result.png"),
+        ("flatten", "FLAT", "-c", camera, "-o", tmp_path / "result.tif"),
+        ("assess", "WHITE", "FLAT"),
+    ):
+        results = []
+        for prefix, more in (("", ("--dark", tmp_path / "dark.png")), ("less_", ())):
+            names = {"FLAT": f"{prefix}flat.png", "WHITE": f"{prefix}white.png"}
+            words = [tmp_path / names[word] if word in names else word for word in command]
+            found = figures_of(*words, *more) | {"seconds": 0}
+            output = words[-1].read_bytes() if command[0] != "assess" else b""
+            results.append((found, output))
+        assert results[0] == results[1], command[0]
+    cv2.imwrite(str(tmp_path / "small.png"), dark[:-2])
+    words = ("--dark", tmp_path / "small.png", "-o", tmp_path / "not.png")
+    refused = run("show", camera, "--image", tmp_path / "flat.png", *words)
+    assert_refused(refused, "small.png: dark frame has shape")
+
+
 def test_stated_lattices_have_no_confidence(tmp_path):
     camera = str(tmp_path / "camera.json")
     arguments = ["lattice", "--size", "400x300", "--pitch", "20", "--json", "-o", camera]

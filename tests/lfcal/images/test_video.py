@@ -53,7 +53,7 @@ def test_damaged_video_is_refused(film, tmp_path):
 
 def test_package_that_is_missing_is_named(film, monkeypatch):
     monkeypatch.setitem(sys.modules, "av", None)
-    with pytest.raises(lfcal.FlatError, match=r"lfrender\[video\]"):
+    with pytest.raises(lfcal.FlatError, match="pip install 'av>="):
         lfcal.read_flat(film, 0)
 
 

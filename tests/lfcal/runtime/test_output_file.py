@@ -74,6 +74,23 @@ def test_an_input_is_not_replaced(tmp_path):
     check_output(tmp_path / "a.json", {".json"}, [tmp_path / "b.json"])
 
 
+@pytest.mark.skipif(not os.path.isdir("/proc/self"), reason="there is no such file system here")
+@pytest.mark.parametrize("name", ["/proc", "/proc/new"])
+def test_a_folder_in_which_nothing_can_be_written_is_refused_beforehand(name):
+    with pytest.raises(OutputError, match="cannot be written"):
+        check_folder(name)
+
+
+def test_folders_above_a_new_one_must_exist_unless_they_are_made_too(tmp_path):
+    with pytest.raises(OutputError, match="does not exist"):
+        check_folder(tmp_path / "a" / "b")
+    assert check_folder(tmp_path / "a" / "b", parents=True) == tmp_path / "a" / "b"
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputError, match="does not exist"):
+        check_folder(tmp_path / "file" / "b" / "c", parents=True)
+    assert os.listdir(tmp_path) == ["file"]
+
+
 def test_a_folder_that_is_named_like_a_file_is_refused_until_it_exists(tmp_path):
     for name in ("bt.jpg", "v.glb", "film.mov"):
         with pytest.raises(OutputError, match="for a folder leave out"):

@@ -11,6 +11,7 @@ import tifffile
 from click.testing import CliRunner
 
 import lfcal
+import lfcal.cli.main
 from lfcal.runtime.command_line import Quantity
 from lfrender.cli.main import main
 
@@ -121,6 +122,18 @@ def test_the_part_that_is_drawn_lies_on_the_whole_picture(files, tmp_path):
         assert width < pictures["whole"].shape[1] and height < pictures["whole"].shape[0]
         there = pictures["whole"][y : y + height, x : x + width]
         np.testing.assert_array_equal(pictures["part"][:, :width], there)
+
+
+@pytest.mark.parametrize("program", [lfcal.cli.main.main, main], ids=["lfcal", "lfrender"])
+def test_dark_frames_mean_the_same_in_all_commands(program):
+    helps = {
+        name: [option.help for option in command.params if "--dark" in option.opts]
+        for name, command in program.commands.items()
+    }
+    texts = {name: texts[0] for name, texts in helps.items() if texts}
+    assert set(texts.values()) == {"Dark frame that is subtracted from all flats and white images."}
+    without = {"lattice", "info", "compare", "convert", "board", "demo", "warm", "lenslet"}
+    assert set(program.commands) - set(texts) <= without
 
 
 def test_an_option_of_another_command_names_it():

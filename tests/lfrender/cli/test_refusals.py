@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import sys
 from dataclasses import replace
+from importlib.util import find_spec
 
 import cv2
 import numpy as np
@@ -11,6 +13,8 @@ import pytest
 import tifffile
 
 import lfcal
+from lfcal.runtime import packages
+from lfrender.cli.inputs import CaptureInput
 
 
 @pytest.mark.parametrize(
@@ -119,6 +123,67 @@ def test_outputs_of_a_suffix_that_a_command_does_not_write_are_refused_by_all_al
     assert_refused(run(*ask(command, *more, *output)), "scene.obj: unknown output format '.obj'; ")
     if command not in ("views", "view", "batch"):
         assert_refused(run(*ask(command, *more, "-o", tmp_path / "no" / "scene.tif")))
+    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("package", "words"),
+    [
+        ("trimesh", "analyze -o scene.glb"),
+        ("trimesh", "analyze -o depth.npz --mesh scene.ply"),
+        ("OpenEXR", "analyze -o depth.npz --dense depth.exr"),
+        ("zarr", "render -o picture.ome.zarr"),
+        ("zarr", "volume -o volume.ome.zarr"),
+        ("av", "views -o scene --poses rvs"),
+        ("av", "refocus -o focus.mp4"),
+        ("OpenEXR", "batch -o pictures --format exr"),
+        ("distributed", "batch -o pictures --workers 2"),
+        ("distributed", "render -o picture.tif --workers 2"),
+    ],
+)
+def test_a_missing_package_is_told_before_the_flat_is_read(
+    ask, tmp_path, monkeypatch, package, words, run, assert_refused
+):
+    def installed(name):
+        return None if name == package else find_spec(name)
+
+    def read(*_):
+        raise AssertionError("the flat was read before the outputs were checked")
+
+    monkeypatch.setattr(packages, "find_spec", installed)
+    monkeypatch.setitem(sys.modules, package, None)
+    monkeypatch.setattr(CaptureInput, "read_pixels", read)
+    monkeypatch.setattr(CaptureInput, "open_frames", read)
+    monkeypatch.chdir(tmp_path)
+    told = f"the package '{package}': pip install '{package}>="
+    assert_refused(run(*ask(*words.split())), told)
+    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "analyze -o depth.npz --dense no/depth.tif",
+        "analyze -o cloud.ply --mesh cloud.ply",
+        "render -o no/picture.tif",
+        "refocus --stack 3 -o no/stack.tif",
+        "views -o no/views",
+        "view --export no/page.html",
+        "batch -o no/pictures",
+        "batch -o pictures --depth-maps no/depth",
+        "batch -o film.mkv --depth-maps ./film.mkv",
+        "volume -o no/volumes",
+    ],
+)
+def test_places_and_doubled_names_are_checked_before_the_flat_is_read(
+    ask, tmp_path, monkeypatch, words, run, assert_refused
+):
+    def read(_):
+        raise AssertionError("the flat was read before the outputs were checked")
+
+    monkeypatch.setattr(CaptureInput, "read_pixels", read)
+    monkeypatch.chdir(tmp_path)
+    assert_refused(run(*ask(*words.split())))
     assert os.listdir(tmp_path) == []
 
 

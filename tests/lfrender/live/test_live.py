@@ -204,6 +204,45 @@ def test_still_scenes_keep_their_depth_and_pictures_follow_the_place_in_focus(se
     assert "rotation: 1.3" in live.status()["camera"] and "tilt" not in live.status()["camera"]
 
 
+def test_a_dark_frame_is_subtracted_from_live_pictures_and_not_from_recordings(
+    house, camera, tmp_path
+):
+    lifted = np.minimum(house.flat, 239) + np.uint8(16)
+    tifffile.imwrite(tmp_path / "dark.tif", np.full(lifted.shape[:2], 16, np.uint8))
+    source = Camera(lifted)
+    live = Session(
+        Grabber(source),
+        lambda shot: camera,
+        "fast",
+        tmp_path,
+        given=True,
+        correct=lambda pixels: pixels - np.uint8(16),
+    )
+    live.start(strict=True)
+    shown, _ = live.picture("sharp", 0)
+    live.command("record")
+    source.shoot()
+    shown, _ = live.picture("sharp", 1)
+    live.command("stop")
+    live.grabber._stopped.set()
+    source.shoot()
+    live.close()
+    np.testing.assert_array_equal(shown.flat, np.minimum(house.flat, 239))
+    (file,) = tmp_path.glob("recording-*.tif")
+    np.testing.assert_array_equal(lfcal.read_flat(file), lifted)
+    words = ["render", file, "--dark", tmp_path / "dark.tif", "-o", tmp_path / "picture.tif"]
+    done = CliRunner().invoke(main, list(map(str, words)))
+    assert done.exit_code == 0, done.output
+    np.testing.assert_array_equal(lfcal.read_flat(tmp_path / "picture.tif"), shown.sharp.image)
+
+
+def test_live_refuses_a_dark_frame_of_another_camera(house_files, tmp_path):
+    tifffile.imwrite(tmp_path / "dark.tif", np.zeros((40, 30), np.uint8))
+    words = ["live", house_files / "flat.png", "--dark", tmp_path / "dark.tif", "-o", tmp_path]
+    done = CliRunner().invoke(main, [*map(str, words), "--no-browser"])
+    assert done.exit_code == 2 and "dark.tif: dark frame has shape (40, 30, 1)" in done.stderr
+
+
 def test_a_recording_that_the_disk_cannot_follow_skips_frames_and_says_so(tmp_path, monkeypatch):
     recorder = Recorder(tmp_path / "r.tif", {"camera": None, "preset": "fast", "scale": None})
 

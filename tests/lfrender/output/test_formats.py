@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from lfcal import OutputError
-from lfrender.output import formats
+from lfcal.runtime import packages
 from lfrender.output.formats import FORMATS, PictureError, check_format
 
 
@@ -22,7 +22,7 @@ def test_each_use_accepts_exactly_its_suffixes_and_names_them(tmp_path, use):
             assert all(one in str(error.value) for one in accepted)
 
 
-def test_a_missing_package_is_named_with_its_extra(tmp_path, monkeypatch):
-    monkeypatch.setattr(formats, "find_spec", lambda name: None)
-    with pytest.raises(PictureError, match=r"'OpenEXR'; pip install 'lfrender\[exr\]'"):
+def test_a_missing_package_is_named_with_the_command_that_installs_it(tmp_path, monkeypatch):
+    monkeypatch.setattr(packages, "find_spec", lambda name: None)
+    with pytest.raises(PictureError, match=r"the package 'OpenEXR': pip install 'OpenEXR>="):
         check_format(tmp_path / "file.exr", "picture")

@@ -249,4 +249,4 @@ def test_films_need_a_package_a_known_ending_and_room(frames, house, tmp_path, m
     assert not (tmp_path / "film.mkv").exists()
     monkeypatch.setitem(sys.modules, "av", None)
     found = run(main, ["batch", flat, "-o", str(tmp_path / "film.mp4")])
-    assert found.exit_code == 2 and "pip install 'lfrender[video]'" in found.stderr
+    assert found.exit_code == 2 and "pip install 'av>=" in found.stderr

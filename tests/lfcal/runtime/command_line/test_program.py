@@ -49,6 +49,15 @@ def program(error=None):
             raise error
         click.echo(f"{given.flat} {given.white} {given.size}")
 
+    @cl.command("tool join a.png -o b.png")
+    @click.argument("flat", type=cl.INPUT)
+    @cl.option("-c --camera", cl.INPUT, "A file.")
+    @cl.output_option("FILE", "A file.", replaces="camera")
+    @cl.option("--page", cl.OutputPath(), "A page.")
+    @cl.report_options
+    def join(report, given):
+        click.echo("joined")
+
     @cl.command("tool many *.png")
     @cl.several_inputs("images", "IMAGE...")
     @cl.report_options
@@ -56,6 +65,7 @@ def program(error=None):
         click.echo(" ".join(map(str, given.images)))
 
     tool.add_command(one)
+    tool.add_command(join)
     tool.add_command(many)
     return lambda *words: CliRunner().invoke(tool, words, catch_exceptions=False)
 
@@ -97,6 +107,23 @@ def test_errors_of_usage_are_one_line_with_what_may_be_meant(folder, words, mess
     assert result.exit_code == 2
     assert message in result.stderr
     assert result.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("-o", "new.html", "--page", "./new.html"), "--output and --page name the same output"),
+        (("-o", "flat.png"), "flat.png: is an input of this command"),
+        (("-o", "new.html", "--page", "white.png"), "white.png: is an input of this command"),
+    ],
+)
+def test_outputs_have_different_names_and_replace_no_input(folder, words, message):
+    tool = program()
+    result = tool("join", "flat.png", "-c", "white.png", *words)
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert message in result.stderr and result.stderr.count("\n") == 1
+    # The option says that this input may be replaced.
+    assert tool("join", "flat.png", "-c", "white.png", "-o", "white.png").stdout == "joined\n"
 
 
 @pytest.mark.parametrize(
