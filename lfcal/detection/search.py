@@ -168,9 +168,9 @@ def _search(
         tried.append(basis)
         if np.hypot(*basis.T).max() > _OBLONG * shortest:
             continue
-        first, *others = _measure_period(features, basis)
-        found += _refine_candidate(first)
-        waiting += others[: (_ALL_CENTRES if thorough else _MOST_CENTRES) - 1]
+        rough = _measure_period(features, basis)
+        found += [one for first in rough[:1] for one in _refine_candidate(first)]
+        waiting += rough[1 : _ALL_CENTRES if thorough else _MOST_CENTRES]
         if any(one.evidence.is_certain for one in found) and not thorough:
             waiting = []
             break
@@ -304,10 +304,14 @@ def _refine_candidate(rough: Candidate) -> list[Candidate]:
 
 
 def _propose_centres(maps: CellMaps, lines: list[LineProfile]) -> list[Floats]:
-    """Centres (2,) in fractional coordinates: round places, cells between steps, half cells."""
+    """Centres (2,) in fractional coordinates: round places, cells between steps, half cells; none
+    if the average cell is even.
+    """
     guesses = [
         guess.position for guess in find_round_centres([maps.brightness, maps.edges], maps.basis)
     ]
+    if not guesses:
+        return []
     first = guesses[0]
     guesses.append(_between_steps(maps))
     guesses.append((np.array([one.strongest for one in lines]) + 0.5) % 1)

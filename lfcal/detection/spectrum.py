@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..images.preprocessing import edge_strength, normalise_locally
-from ..lattice.lattice import reduce_basis
+from ..lattice.lattice import reduce_basis, shorten_bases
 from ..lattice.robust_fit import robust_sigma
 from ..runtime.arrays import Booleans, Floats, Singles
 from .features import FlatFeatures
@@ -119,21 +119,6 @@ def _find_peaks(p: Singles) -> tuple[Floats, Floats]:
     return np.column_stack([x + dx, y - n // 2 + dy]) / n, strength
 
 
-def _reduce_bases(pairs: Floats) -> Floats:
-    """(m, 2, 2) shortest bases of the lattices that pairs span, shorter vector first
-    (Lagrange-Gauss reduction).
-    """
-    a = pairs[:, 0]
-    b = pairs[:, 1]
-    while True:
-        swap = ((a * a).sum(1) > (b * b).sum(1))[:, None]
-        a, b = np.where(swap, b, a), np.where(swap, a, b)
-        times = np.rint((a * b).sum(1) / (a * a).sum(1))
-        if not times.any():
-            return np.stack([a, b], axis=1)
-        b = b - times[:, None] * a
-
-
 def _fit_to_peaks(
     reciprocal: Floats, peaks: Floats, strength: Floats, size: int
 ) -> tuple[Floats, Booleans]:
@@ -187,7 +172,7 @@ def _find_candidates(prominence: Singles, reduction: int) -> list[Candidate]:
     chosen = dict.fromkeys([*range(min(10, len(peaks))), *by_period])
     pairs = peaks[np.array(list(combinations(chosen, 2)))]
     lengths = np.hypot(pairs[..., 0], pairs[..., 1])
-    reciprocal = _reduce_bases(
+    reciprocal = shorten_bases(
         pairs[np.abs(np.linalg.det(pairs)) >= 0.2 * lengths[:, 0] * lengths[:, 1]]
     )
     lengths = np.hypot(reciprocal[..., 0], reciprocal[..., 1])

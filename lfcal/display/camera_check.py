@@ -64,7 +64,7 @@ class CameraCheck:
         if not self.checked:
             warning = (
                 "no microimages can be seen on this flat, so that the camera could not be checked; "
-                "give a brighter one"
+                "give a flat that is neither dark nor saturated"
             )
         if warning is None:
             return calibration

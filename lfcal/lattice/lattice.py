@@ -17,13 +17,40 @@ from .distortion import Distortion
 
 # [squared length] nearer is equal: measured hexagons get the basis of exact ones.
 _EQUAL = 5e-3
+# Steps of a reduction at most. Each but the last two shortens a squared length to a third, so that
+# vectors whose lengths differ by a factor of 1e14 are reduced.
+_MOST_STEPS = 64
+# Smallest relative change of a squared length that is none of rounding.
+_ROUNDING = 1e-12
 # [lenses] handled at once, so that hardly more memory is needed than for the result, and centres
 # kept at most.
 _CHUNK = 1 << 20
 # Share of a side, and cosine, up to which a cell counts as square.
 _TOLERANCE = 0.03
 
-__all__ = ["Lattice", "describe_orientation", "reduce_basis"]
+__all__ = ["Lattice", "describe_orientation", "reduce_basis", "shorten_bases"]
+
+
+def shorten_bases(pairs: ArrayLike) -> Floats:
+    """(m, 2, 2) shortest bases of the lattices that `pairs` of vectors (m, 2, 2) span, the shorter
+    vector first (Lagrange-Gauss reduction).
+
+    A step that shortens a vector by no more than rounding is not taken, so that vectors at a tie do
+    not alternate. Pairs that are parallel, zero or not finite span no lattice and are of no use.
+    """
+    bases = np.array(pairs, dtype=np.float64)
+    for _ in range(_MOST_STEPS):
+        squares = (bases * bases).sum(-1)
+        bases = np.where((squares[:, :1] > squares[:, 1:])[..., None], bases[:, ::-1], bases)
+        a, b = np.moveaxis(bases, 1, 0)
+        square = np.maximum((a * a).sum(-1), np.finfo(float).tiny)
+        with np.errstate(invalid="ignore"):
+            shorter = b - np.rint((a * b).sum(-1) / square)[:, None] * a
+        moves = (shorter * shorter).sum(-1) < (1 - _ROUNDING) * (b * b).sum(-1)
+        if not moves.any():
+            break
+        bases = np.stack([a, np.where(moves[:, None], shorter, b)], axis=1)
+    return bases
 
 
 def reduce_basis(basis: ArrayLike) -> Floats:
@@ -38,12 +65,7 @@ def reduce_basis(basis: ArrayLike) -> Floats:
         raise ValueError(
             f"basis must be two independent finite vectors, got {np.asarray(basis).tolist()}"
         )
-    while True:
-        if a @ a > b @ b:
-            a, b = b, a
-        b = b - np.round((a @ b) / (a @ a)) * a
-        if b @ b >= (a @ a) * (1 - 1e-12):
-            break
+    a, b = shorten_bases([[a, b]])[0]
     candidates = [v for v in (a, b, a - b, a + b) if v @ v <= (b @ b) * (1 + _EQUAL)]
     candidates += [-v for v in candidates]
     least = b @ b

@@ -244,11 +244,13 @@ def _frame_options(capture: CaptureInput, given: Any, film: bool) -> FrameOption
 
 
 def _find_camera(frames: Frames, capture: CaptureInput) -> Calibration:
-    """The camera, checked on the first frame that can be read."""
+    """The camera, checked on the first frame that can be read and is no even grey."""
+    from ..sequence.frames import read_lit
+
     for frame in frames:
         with suppress(FlatError):
-            pixels = frame.read()
+            pixels = read_lit(frame)
             break
     else:
-        raise FlatError("none of the frames can be read")
+        raise FlatError("none of the frames can be read, or all are dark or saturated")
     return capture.find_camera(pixels)

@@ -24,7 +24,7 @@ from lfcal.runtime.video import import_av, rgb_pixels
 from ..runtime.messages import one_line
 from ..runtime.types import AnyPath, Size
 
-__all__ = ["Frame", "Frames", "is_video", "open_frames"]
+__all__ = ["Frame", "Frames", "is_video", "open_frames", "read_lit"]
 
 
 @dataclass(frozen=True)
@@ -36,6 +36,14 @@ class Frame:
     source: Path | None = (
         None  # image file whose metadata its picture gets; None for frames of videos
     )
+
+
+def read_lit(frame: Frame) -> Array:
+    """The flat of a frame; FlatError if all its pixels are equal, as behind a lens cap."""
+    pixels = frame.read()
+    if pixels.min() == pixels.max():
+        raise FlatError("all pixels of this flat are equal; it is dark or saturated")
+    return pixels
 
 
 @dataclass(frozen=True)

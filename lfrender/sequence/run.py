@@ -32,7 +32,7 @@ from ..output.picture import Brightness, eight_bits, write_picture
 from ..rendering.render import render
 from ..rendering.viewpoints import still_depth
 from ..runtime.types import Size
-from .frames import Frame, Frames
+from .frames import Frame, Frames, read_lit
 from .options import FrameOptions
 from .run_folder import RunFolder, RunState
 
@@ -184,7 +184,7 @@ class Run:
 
     def read(self, frame: Frame) -> Array:
         """The flat of a frame, in colour if the camera has a colour mosaic."""
-        pixels = frame.read()
+        pixels = read_lit(frame)
         return demosaic(pixels, self._camera(pixels))
 
     def _camera(self, pixels: Array) -> Calibration:

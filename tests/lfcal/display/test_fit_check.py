@@ -49,6 +49,15 @@ def test_flat_without_microimages_shows_nothing_and_that_is_known(white):
     assert check.problem is None and not check.checked
 
 
+@pytest.mark.parametrize("grey", [0, 100, 255])
+def test_even_grey_shows_nothing_and_that_is_known(white, grey):
+    even = np.full_like(white.image, grey)
+    assert np.isnan(lfcal.check_fit(white.camera, even).max_offset)
+    check = lfcal.check_camera(white.camera, even)
+    assert not check.checked and check.problem is None
+    assert "neither dark nor saturated" in check.warn(white.camera, "a.json").warnings[-1]
+
+
 @pytest.mark.parametrize("check", [lfcal.check_fit, lfcal.check_camera, lfcal.show])
 def test_image_of_another_size_is_refused(white, check):
     with pytest.raises(lfcal.FlatError, match="600 x 500"):

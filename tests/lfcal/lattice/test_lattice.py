@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from lfcal import Lattice
 from lfcal.lattice import lattice
 from lfcal.lattice.distortion import Distortion
-from lfcal.lattice.lattice import reduce_basis
+from lfcal.lattice.lattice import reduce_basis, shorten_bases
 
 _UNIMODULAR = st.sampled_from(
     [[[1, 0], [0, 1]], [[2, 1], [1, 1]], [[1, -3], [0, 1]], [[0, 1], [1, 0]], [[-1, 0], [5, 1]]]
@@ -48,6 +48,35 @@ def test_reduced_basis_spans_the_same_lattice_at_60_to_90_degrees(
 def test_degenerate_basis_is_refused(basis):
     with pytest.raises(ValueError, match="basis"):
         reduce_basis(basis)
+
+
+_TIE = [[0.016881795122772672, -0.03378560257288819], [0.03378560257288819, -0.016881795122772672]]
+
+
+@pytest.mark.parametrize(
+    "pair",
+    [
+        _TIE,
+        [[1.0, 0.0], [2.0, 0.0]],
+        [[0.3, 0.1], [0.9, 0.3]],
+        [[0.0, 0.0], [0.0, 0.0]],
+        [[0.0, 0.0], [1.0, 2.0]],
+        [[np.nan, 1.0], [1.0, 0.0]],
+        [[np.inf, 1.0], [1.0, 0.0]],
+    ],
+)
+def test_reduction_ends_at_ties_and_for_degenerate_vectors(pair):
+    plain = [[20.0, 0.0], [50.0, 20.0]]
+    found = shorten_bases([pair, plain])
+    assert found.shape == (2, 2, 2)
+    np.testing.assert_allclose(np.abs(found[1]), [[20, 0], [10, 20]], atol=1e-12)
+
+
+@given(st.floats(0, 360), st.sampled_from([0.5, np.nextafter(0.5, 1), -0.5]), _UNIMODULAR)
+def test_shortest_vectors_of_hexagons_are_found_from_any_basis(degrees, lean, mixture):
+    basis = _turn([[20, 0], [20 * lean, 20 * np.sqrt(0.75)]], degrees)
+    found = shorten_bases([np.array(mixture) @ basis])[0]
+    np.testing.assert_allclose(np.hypot(*found.T), 20, rtol=1e-9)
 
 
 @given(st.floats(0, 90))

@@ -72,6 +72,21 @@ def test_frames_come_in_the_order_of_their_numbers_and_keep_depth_where_nothing_
     assert len(sizes) == 1
 
 
+@pytest.mark.parametrize("known", [True, False])
+def test_even_frames_are_reported_and_do_not_stop_or_scale_the_others(
+    house, house_white_camera, tmp_path, known
+):
+    flats = [np.zeros_like(house.flat), house.flat, np.full_like(house.flat, 255)]
+    for name, flat in zip("abc", flats, strict=True):
+        cv2.imwrite(str(tmp_path / f"{name}.png"), flat[..., ::-1])
+    frames = lfrender.open_frames([tmp_path])
+    camera = house_white_camera if known else None
+    results = list(lfrender.render_frames(frames, tmp_path / "out", camera, preset="fast"))
+    assert [one.outcome for one in results] == ["failed", "rendered", "failed"]
+    assert all("dark or saturated" in one.message for one in results[::2])
+    assert min(tifffile.imread(results[1].path).shape[:2]) > 50
+
+
 def test_pictures_keep_the_colour_profile_and_camera_data_of_their_frames(house, tmp_path):
     profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
     exif = Image.Exif()
