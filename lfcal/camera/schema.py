@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta, Struct
 
-from ..gain.gain_map import GainMap, Vignetting
+from ..gain.gain_map import GainMap, Vignetting, largest_values
 from ..lattice.lattice import Lattice
 from ..runtime.errors import CameraFileError
 from ..runtime.image_formats import Mosaic
@@ -17,9 +17,13 @@ __all__ = ["check_plausible", "check_together", "read_fields"]
 
 _Number = Annotated[float, Meta(ge=-1e9, le=1e9)]
 _Point = tuple[_Number, _Number]
-# Largest light over that of the brightest place, or its natural logarithm: measured values lie
-# between -0.3 and 1.1.
-_MOST_LIGHT = 10.0
+# Fields of gain maps that have other names in camera files.
+_NAMES_IN_FILES = {
+    "stray_light": "dark",
+    "type_light": "types.light",
+    "lens_gain": "own",
+    "shading": "shade",
+}
 # Largest relative difference of the pitch in a file, which has few digits at times, from its basis.
 _PITCH_ERROR = 0.01
 
@@ -78,19 +82,13 @@ def check_together(
         )
     if vignetting is not None:
         _check_lengths(lattice, {"vignetting.step": vignetting.step})
-        _check_largest("vignetting.profile", vignetting.profile, _MOST_LIGHT)
+        largest = largest_values(lattice)["profile"]
+        _check_largest("vignetting.profile", vignetting.profile, largest)
     if gain is not None:
         _check_lengths(lattice, {"gain_map.radius": gain.radius, "gain_map.step": gain.step})
-        side = max(lattice.image_size)
-        _check_largest("gain_map.profile", gain.profile, _MOST_LIGHT)
-        _check_largest("gain_map.dark", gain.stray_light, _MOST_LIGHT)
-        _check_largest("gain_map.types.light", gain.type_light, _MOST_LIGHT)
-        _check_largest("gain_map.level", gain.level, _MOST_LIGHT)
-        _check_largest("gain_map.own", gain.lens_gain, 100)
-        _check_largest("gain_map.shade", gain.shading, 100)
-        _check_largest("gain_map.rim", gain.rim, side)
-        # A disc of this size cuts along a straight line.
-        _check_largest("gain_map.cut", gain.cut, 100 * side)
+        for name, largest in largest_values(lattice).items():
+            field = f"gain_map.{_NAMES_IN_FILES.get(name, name)}"
+            _check_largest(field, getattr(gain, name), largest)
 
 
 def _check_largest(field: str, values: Any, largest: float) -> None:

@@ -90,6 +90,7 @@ def measure_illumination(
         unlit = lights.unlit
     else:
         unlit = find_unlit_in_scene(seen, lattice)
+    gain = gain.limited(lattice)
     defects = Defects(lenses=lattice.indices()[unlit].astype(np.int32))
     warnings: tuple[str, ...] = ()
     share = 0.0
