@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta, Struct
 
-from ..gain.gain_map import GainMap, Vignetting
+from ..gain.gain_map import GainMap, Vignetting, largest_values
 from ..lattice.lattice import Lattice
 from ..runtime.errors import CameraFileError
 from ..runtime.image_formats import Mosaic
@@ -25,15 +25,15 @@ _Side = Annotated[int, Meta(ge=1, lt=2**31)]
 _Text = Annotated[str, Meta(max_length=1_000_000, pattern=r"^[^\ud800-\udfff]*$")]
 _Point = tuple[_Number, _Number]
 _Table = list[list[_Number]]
-# Largest light over that of the brightest place, or its natural logarithm: measured values lie
-# between -0.3 and 1.1.
-_MOST_LIGHT = 10.0
-_Light = Annotated[float, Meta(ge=-_MOST_LIGHT, le=_MOST_LIGHT)]
-# Shading over the radius of a lens, and light of a lens over that of the polynomial.
-_MOST_SHADE = 100.0
-_Shade = Annotated[float, Meta(ge=-_MOST_SHADE, le=_MOST_SHADE)]
 # Figures of the evidence are shares, correlations, logarithms and numbers of deviations.
 _MOST_FIGURE = 1e6
+# Fields of gain maps that have other names in camera files.
+_NAMES_IN_FILES = {
+    "stray_light": "dark",
+    "type_light": "types.light",
+    "lens_gain": "own",
+    "shading": "shade",
+}
 # Largest relative difference of the pitch in a file, which has few digits at times, from its basis.
 _PITCH_ERROR = 0.01
 
@@ -57,7 +57,7 @@ class _Lattice(Struct):
 
 class _Vignetting(Struct):
     step: _Length
-    profile: list[_Light]
+    profile: list[_Number]
 
 
 class _Fit(Struct):
@@ -77,12 +77,12 @@ class _GainMap(Struct):
     profile: str
     step: _Length
     radius: _Length
-    level: list[_Light]
+    level: list[_Number]
     own: str
-    shade: list[list[_Shade]]
+    shade: _Table
     rim: _Table
     cut: list[_Number]
-    dark: _Light
+    dark: _Number
     types: dict[str, Any] | None = None
 
 
@@ -144,15 +144,13 @@ def check_together(
         )
     if vignetting is not None:
         _check_lengths(lattice, {"vignetting.step": vignetting.step})
+        largest = largest_values(lattice)["profile"]
+        _check_largest("vignetting.profile", vignetting.profile, largest)
     if gain is not None:
         _check_lengths(lattice, {"gain_map.radius": gain.radius, "gain_map.step": gain.step})
-        side = max(lattice.image_size)
-        _check_largest("gain_map.profile", gain.profile, _MOST_LIGHT)
-        _check_largest("gain_map.types.light", gain.type_light, _MOST_LIGHT)
-        _check_largest("gain_map.own", gain.lens_gain, _MOST_SHADE)
-        _check_largest("gain_map.rim", gain.rim, side)
-        # A disc of this size cuts along a straight line.
-        _check_largest("gain_map.cut", gain.cut, 100 * side)
+        for name, largest in largest_values(lattice).items():
+            field = f"gain_map.{_NAMES_IN_FILES.get(name, name)}"
+            _check_largest(field, getattr(gain, name), largest)
     for name, figure in vars(evidence).items() if evidence is not None else ():
         # Halves of a flat to which no lattice fits differ by infinity.
         _check_largest(f"evidence.{name}", np.nan_to_num(figure or 0, posinf=0), _MOST_FIGURE)

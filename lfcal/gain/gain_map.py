@@ -10,7 +10,7 @@ over the field is a low-order polynomial of the place.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -33,6 +33,7 @@ from ..runtime.arrays import (
 from .kernel import RIM_START, Shape, evaluate_light
 
 __all__ = [
+    "BEFORE_RIM",
     "Defects",
     "GainMap",
     "Vignetting",
@@ -40,16 +41,27 @@ __all__ = [
     "field_monomials",
     "fit_light",
     "fit_light_slope",
+    "largest_values",
     "nearest_half",
 ]
 
 # Lenses that are sampled together, so that memory does not grow with the flat.
 _PART = 500
-# Rings with more relative light than this lie inside the middle of the rim.
-_BEFORE_RIM = 0.75
+#: Rings with more relative light than this lie inside the middle of the rim.
+BEFORE_RIM = 0.75
 # Number of lenses, spread over the flat, whose light is averaged; 16 captures have the same lit
 # cell with 16, 32 and 64.
 _AVERAGED = 16
+# Largest values: light over that of the brightest place, or its natural logarithm, which measured
+# maps have between -0.3 and 1.1; light of lenses over their polynomial; factors of the shading.
+_LARGEST = {
+    "profile": 10.0,
+    "stray_light": 10.0,
+    "type_light": 10.0,
+    "level": 10.0,
+    "lens_gain": 100.0,
+    "shading": 100.0,
+}
 # Degrees of the polynomial of the light that are tried, and lenses for each of its factors.
 _DEGREES = (4, 2)
 _LENSES_PER_TERM = 12
@@ -169,6 +181,14 @@ class GainMap(Frozen):
             np.array(cut),
         )
 
+    def limited(self, lattice: Lattice) -> GainMap:
+        """The map with all values within those that a camera file may hold."""
+        largest = largest_values(lattice)
+        return replace(
+            self,
+            **{name: np.clip(getattr(self, name), -most, most) for name, most in largest.items()},
+        )
+
     def light(self, field: Floats) -> Floats:
         """(n,) light of lenses at places (n, 2) of the field, by the polynomial."""
         return np.exp(field_monomials(field, len(self.level)) @ self.level)
@@ -259,7 +279,7 @@ class GainMap(Frozen):
 
     def type_rims(self, radius: float) -> Floats:
         """Values of `type_light` (t, k) within `radius` [px], before the middle of the rim."""
-        inside = (np.arange(len(self.profile)) * self.step < radius) & (self.profile > _BEFORE_RIM)
+        inside = (np.arange(len(self.profile)) * self.step < radius) & (self.profile > BEFORE_RIM)
         return self.type_light[:, inside]
 
     def to_dict(self) -> dict[str, Any]:
@@ -386,6 +406,13 @@ class Defects(Frozen):
         return cls(pixels, lenses)
 
 
+def largest_values(lattice: Lattice) -> dict[str, float]:
+    """Largest size of the values of each field of a gain map of a lattice."""
+    side = float(max(lattice.image_size))
+    # A cutting disc of a hundred sides cuts along a straight line.
+    return {**_LARGEST, "rim": side, "cut": 100 * side}
+
+
 def count_terms(degree: int) -> int:
     """Number of terms of a polynomial of the field."""
     return (degree + 1) * (degree + 2) // 2
@@ -409,13 +436,22 @@ def fit_light(lights: NDArray[np.floating], field: Floats) -> Floats:
     """Factors (terms,) of `field_monomials` for the logarithms of the lights (n,) of lenses.
 
     A robust fit: dust and dead lenses get no weight. The degree is four if there are enough lenses
-    at the places (n, 2) of the field.
+    at the places (n, 2) of the field, and if they fill so much of it that all factors but the first
+    are within those of a gain map.
     """
     some = evenly(len(lights), ENOUGH_LENSES)
     log = np.log(np.maximum(lights[some], 1e-12))
+    for degree in (*_DEGREES, 0):
+        if len(log) >= _LENSES_PER_TERM * count_terms(degree) or degree == 0:
+            level = _fit_polynomial(log, field_monomials(field[some], count_terms(degree)))
+            if np.abs(level[1:]).max(initial=0) <= _LARGEST["level"]:
+                break
+    return level
+
+
+def _fit_polynomial(log: Floats, table: Floats) -> Floats:
+    """Factors (t,) of the columns of `table` (n, t) for values (n,), by a robust fit."""
     count = len(log)
-    degree = next((d for d in _DEGREES if count >= _LENSES_PER_TERM * count_terms(d)), 0)
-    table = field_monomials(field[some], count_terms(degree))
     ridge = 1e-9 * max(count, 1) * np.eye(table.shape[1])
     weight = np.ones(count)
     level: Floats = np.zeros(table.shape[1])

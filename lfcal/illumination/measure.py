@@ -30,6 +30,10 @@ __all__ = ["Illumination", "measure_illumination"]
 #: images have up to 0.027 (a binary mask), one with large specks of dust 0.05, a checkerboard seen
 #: through an array 0.12.
 MOST_OFF_GAIN = 0.03
+_NOT_MEASURED = (
+    "the scene does not show the light inside its microimages: pictures are drawn without "
+    "vignetting; calibrate on a white image"
+)
 # Rows of microimages of which one is used for the profiles of scenes and types.
 _ROWS = 2
 
@@ -67,17 +71,22 @@ def measure_illumination(
     lenses of a lattice with a usable radius.
     """
     gain = estimate_gain(picture, lattice, not white, cut)
+    warnings: list[str] = []
     if not white:
         sample = draw_sample(lattice, picture, ENOUGH_PIXELS, True, _ROWS)
         pixels = ProfilePixels.of(sample, gain)
-        gain = replace(gain, profile=fit_scene_profile(pixels, gain))
+        profile, measured = fit_scene_profile(pixels, gain)
+        gain = replace(gain, profile=profile)
+        if not measured:
+            warnings.append(_NOT_MEASURED)
     vignetting, radius = average_vignetting(gain, lattice)
     types = find_types(lattice.with_radius(radius)) if find_types else None
     if types is not None and types.count > 1:
         if white:
             sample = draw_sample(lattice, picture, ENOUGH_PIXELS, False, _ROWS)
             pixels = ProfilePixels.of(sample, gain)
-        gain = fit_type_profiles(pixels, radius, gain, types, not white)
+        if not warnings:
+            gain = fit_type_profiles(pixels, radius, gain, types, not white)
     if white:
         types, gain = order_by_rims(types, gain, radius)
     described = gain.describe(lattice.field_place(lattice.centres()))
@@ -90,14 +99,14 @@ def measure_illumination(
         unlit = lights.unlit
     else:
         unlit = find_unlit_in_scene(seen, lattice)
+    gain = gain.limited(lattice)
     defects = Defects(lenses=lattice.indices()[unlit].astype(np.int32))
-    warnings: tuple[str, ...] = ()
     share = 0.0
     if white and not isinstance(picture, StackedCrops):
         defects, share = find_defects(picture, lattice, lights)
         if share > MOST_OFF_GAIN:
-            warnings = (
+            warnings.append(
                 f"{share:.1%} of the pixels differ from the gain map, more than defects explain; "
-                "check the white image for structure or saturation",
+                "check the white image for structure or saturation"
             )
-    return Illumination(gain, vignetting, radius, defects, warnings, share, types)
+    return Illumination(gain, vignetting, radius, defects, tuple(warnings), share, types)

@@ -2,7 +2,9 @@
 
 On the average a scene is as bright at the rims of microimages as in their middles. The ratio of the
 summed light at one distance to that at others is free of it. The mean of ratios within lenses is
-not: a lens with something bright in its middle is darker around it more often than not. Microlenses
+not: a lens with something bright in its middle is darker around it more often than not. A scene of
+bright objects before black can be brighter at the rims by its content. No lens is: profiles never
+rise towards the rim, and where the scene does, its light is not measured. Microlenses
 of another focal length blur the image of the main aperture, and so the rims of their microimages,
 in another way: their sums in one part of the field, where all types see the same, are compared.
 """
@@ -18,7 +20,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from ..camera.lens_types import LensTypes
-from ..gain.gain_map import GainMap, Vignetting, nearest_half
+from ..gain.gain_map import BEFORE_RIM, GainMap, Vignetting, nearest_half
 from ..lattice.lattice import Lattice
 from ..runtime.arrays import Floats, Integers, evenly
 from ..runtime.errors import CalibrationError
@@ -45,6 +47,11 @@ _LEAST = 0.005
 _INNER = 0.3
 # Lenses over which the vignetting is averaged.
 _LENSES = 64
+# Windows of the field from whose scatter the error of a profile follows.
+_FEWEST_WINDOWS = 4
+# RMS rise of a scene towards the rims, over its light, from which on it is content. Scenes that
+# agree with their white images have up to 0.01, those whose profiles would be wrong 0.04 to 0.4.
+_CONTENT = 0.03
 
 
 class ProfilePixels(NamedTuple):
@@ -116,22 +123,43 @@ def _shrunk_mean(values: Floats, weight: Floats) -> Floats:
     return np.asarray(mean * np.maximum(1 - (2 * error / np.maximum(np.abs(mean), 1e-12)) ** 2, 0))
 
 
-def fit_scene_profile(found: ProfilePixels, gain: GainMap) -> Floats:
+def fit_scene_profile(found: ProfilePixels, gain: GainMap) -> tuple[Floats, bool]:
     """(k,) profile of a gain map with known rims, from a scene; 1 wherever that cannot be excluded.
 
-    Where the scene is too dark, the profile of `gain` is returned.
+    Also returns whether the scene shows the light inside microimages. If it is too dark, or
+    brighter at their rims, the profile is 1 before the rim.
     """
     types = np.zeros(len(found.sample.field), np.int8)
     light, weight, _ = found.sum_windows(gain, types, CORES[0] * gain.radius)
-    if not len(light):
-        return gain.profile
-    rings = np.arange(len(gain.profile))
     pixels = weight.sum((0, 1))
-    filled = pixels > FEW_PIXELS * pixels.max()
-    away = _shrunk_mean(light[:, 0] / np.maximum(weight[:, 0], 1e-12) - 1, weight[:, 0])
-    profile = 1 + np.interp(rings, rings[filled], away[filled])
-    smooth = np.convolve(np.pad(profile, 2, "edge"), np.ones(5) / 5, "valid")
-    return np.asarray(profile / smooth[rings * gain.step < gain.radius].max())
+    profile = gain.profile
+    measured = len(light) >= _FEWEST_WINDOWS
+    rings = np.arange(len(profile))
+    if measured:
+        filled = pixels > FEW_PIXELS * pixels.max()
+        ratio = light[:, 0] / np.maximum(weight[:, 0], 1e-12)
+        profile = 1 + np.interp(rings, rings[filled], _shrunk_mean(ratio - 1, weight[:, 0])[filled])
+    pixels = np.maximum(pixels, FEW_PIXELS * max(float(pixels.max()), 1.0))
+    falling = _fit_falling(profile, pixels)
+    inside = rings * gain.step < gain.radius
+    rise = np.average((profile - falling)[inside] ** 2, weights=pixels[inside])
+    measured &= bool(rise <= _CONTENT**2)
+    profile = falling / max(float(falling[0]), 1e-9)
+    if not measured:
+        profile = np.where(profile > BEFORE_RIM, 1, profile)
+    return np.asarray(profile), measured
+
+
+def _fit_falling(values: Floats, weight: Floats) -> Floats:
+    """The weighted least-squares fit (k,) to values (k,) that never rises (isotonic regression)."""
+    ends = np.cumsum(np.column_stack([weight, weight * values]), axis=0)
+    starts = ends - np.column_stack([weight, weight * values])
+    sums = ends[None] - starts[:, None]
+    means = sums[..., 1] / np.where(sums[..., 0] > 0, sums[..., 0], np.inf)
+    # The largest mean from each first ring to a last ring from k on; of these the least, up to k.
+    means[np.tril_indices(len(values), -1)] = -np.inf
+    largest = np.maximum.accumulate(means[:, ::-1], axis=1)[:, ::-1]
+    return np.minimum.accumulate(largest, axis=0).diagonal()
 
 
 def fit_type_profiles(
@@ -146,7 +174,7 @@ def fit_type_profiles(
     sample = found.sample
     kinds = types.of(sample.indices)
     light, weight, level = found.sum_windows(gain, kinds, 0.5 * radius)
-    if level.shape[1] != types.count or len(level) < 4:
+    if level.shape[1] != types.count or len(level) < _FEWEST_WINDOWS:
         return gain
     wide = 2 * (round(_SMOOTH / gain.step) // 2) + 1
     edge = ((0, 0), (0, 0), (wide // 2, wide // 2))

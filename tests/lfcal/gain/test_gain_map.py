@@ -141,3 +141,24 @@ def test_few_lenses_have_no_slope():
     field = _LATTICE.field_place(centres)
     assert len(fit_light(np.ones(20), field)) == 1
     assert not fit_light_slope(_light(centres), field, _LATTICE.reach).any()
+
+
+def test_light_of_lenses_in_a_corner_of_the_field_has_factors_that_a_camera_file_can_hold():
+    rng = np.random.default_rng(2)
+    field = rng.uniform(0.5, 0.6, (600, 2))
+    light = np.exp(rng.normal(0, 0.3, 600))
+    assert np.abs(fit_light(light, field)[1:]).max(initial=0) <= 10
+
+
+def test_map_with_impossible_values_is_limited_to_those_that_can_be_read():
+    wild = replace(
+        GainMap.round(np.full(60, 1e3), 0.25, 9),
+        level=[0, 26, 0],
+        lens_gain=np.full(len(_LATTICE), 1e4),
+        shading=np.full((5, 1), -1e5),
+    )
+    camera = lfcal.Calibration(_LATTICE, source="white", gain_map=wild)
+    with pytest.raises(lfcal.CameraFileError, match="is not between"):
+        lfcal.Calibration.from_dict(camera.to_dict())
+    readable = replace(camera, gain_map=wild.limited(_LATTICE))
+    assert lfcal.Calibration.from_dict(readable.to_dict()).gain_map == readable.gain_map

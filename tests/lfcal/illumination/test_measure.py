@@ -64,3 +64,17 @@ def test_scene_with_much_contrast_gives_the_profile_to_a_percent():
     assert ratio.std() / ratio.mean() < 0.01
     outer = far.reshape(x.shape)[core] > 0.75 * radius
     assert abs(ratio[outer].mean() / ratio[~outer].mean() - 1) < 0.01
+
+
+def test_bright_objects_before_black_make_no_vignetting():
+    """Each lens sees an object that reaches over its rim, and black in its middle."""
+    lattice = lfcal.Lattice((9.3, 11.8), np.array([[20.4, 0.7], [9.6, 17.9]]), (600, 500), 9.0)
+    y, x = np.mgrid[:500, :600]
+    points = np.column_stack([x.ravel(), y.ravel()]).astype(float)
+    index = np.rint(lattice.to_index(points)).astype(int)
+    far = np.hypot(*(points - lattice.points(index)).T).reshape(x.shape)
+    scene = np.clip((far - 2) / 7, 0.3, 1)
+    seen = measure_illumination(np.sqrt(scene).astype(np.float32), lattice, white=False)
+    gain = RegionGain(seen.gain_map, lattice).at(0, 0, *lattice.image_size)
+    np.testing.assert_array_equal(gain, 1)
+    assert "drawn without vignetting" in seen.warnings[0]

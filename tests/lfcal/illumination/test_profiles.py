@@ -53,9 +53,43 @@ def test_profile_from_a_scene_is_even_in_the_middle(seed):
     picture = (0.5 + 0.12 * scene / scene.std()).clip(0.05, 1).astype(np.float32)
     gain = GainMap.round(np.ones(100), 0.25, 20.0)
     pixels = ProfilePixels.of(draw_sample(lattice, picture, 1e6, True, 2), gain)
-    profile = fit_scene_profile(pixels, gain)
+    profile, measured = fit_scene_profile(pixels, gain)
+    assert measured
     # Pixel by pixel, the few in the middle of these 80 lenses are up to 40 % off.
     np.testing.assert_allclose(profile[:6] / np.median(profile[:60]), 1, atol=0.06)
+
+
+def _fit_profile(rise: float, fill: float) -> tuple[np.ndarray, bool]:
+    """Of a scene whose light rises towards the rims, which are at a share of the radius."""
+    y, x = np.mgrid[:400, :600]
+    points = np.column_stack([x.ravel(), y.ravel()]).astype(float)
+    nearest = np.rint(_LATTICE.to_index(points)).astype(int)
+    distance = np.hypot(*(points - _LATTICE.points(nearest)).T).reshape(x.shape) / _LATTICE.radius
+    light = (1 + rise * distance**2) * np.clip((fill - distance) * 5, 0.02, 1)
+    noise = np.random.default_rng(0).normal(1, 0.05, light.shape)
+    picture = np.sqrt(0.3 * light * noise).astype(np.float32)
+    gain = GainMap.round(np.ones(60), _STEP, 9)
+    pixels = ProfilePixels.of(draw_sample(_LATTICE, picture, 1e6, True, 2), gain)
+    return fit_scene_profile(pixels, gain)
+
+
+@pytest.mark.parametrize("fill", [0.9, 2.0])
+def test_scene_that_is_brighter_at_the_rims_shows_no_light_before_them(fill):
+    profile, measured = _fit_profile(2.0, fill)
+    assert not measured
+    before_rim = np.arange(60) * _STEP < (fill - 0.25) * 9
+    np.testing.assert_array_equal(profile[before_rim], 1)
+    # The rim itself is seen.
+    assert (profile[40] < 0.1) == (fill < 1)
+
+
+@pytest.mark.parametrize("rise", [-0.2, 0.0, 0.05])
+def test_profile_of_a_scene_never_rises_towards_the_rim(rise):
+    profile, measured = _fit_profile(rise, 1.0)
+    assert measured
+    assert profile[0] == 1 and np.diff(profile).max() < 1e-12
+    expected = 1 + min(rise, 0) * (np.arange(60) * _STEP / 9) ** 2
+    np.testing.assert_allclose(profile[:24], expected[:24], atol=0.02)
 
 
 @pytest.mark.parametrize(("contrast", "error"), [(0.02, 0.005), (0.1, 0.015)])
