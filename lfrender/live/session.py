@@ -207,6 +207,7 @@ class Session:
         self._published, self._stopped = Condition(), Event()
         self._recording, self._drawing = Lock(), Lock()
         self._thread = Thread(target=self._run, daemon=True)
+        grabber.is_idle = lambda: not self._watched(*KINDS)
 
     def start(self, strict: bool = False) -> None:
         """Find the camera on the first frame, and begin; `strict` raises an error of that."""

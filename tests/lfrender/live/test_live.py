@@ -263,6 +263,19 @@ def test_nothing_is_analysed_while_nobody_looks_and_a_page_gets_the_newest_frame
     assert view.shot.number == 5 and analysed == [view]
 
 
+def test_files_are_not_read_while_nobody_looks(camera, house_files, tmp_path):
+    grabber = Grabber(lambda: open_source(str(house_files / "flat.png"), rate=1000))
+    live = Session(grabber, lambda shot: camera, "fast", tmp_path, given=True)
+    live.start(strict=True)
+    time.sleep(0.3)
+    idle = grabber.received
+    time.sleep(0.3)
+    assert grabber.received <= idle + 1
+    live.picture("raw", 0)
+    wait_until(lambda: grabber.received > idle + 20)
+    live.close()
+
+
 def test_a_recording_without_frames_is_no_file(session, tmp_path):
     live, _ = session
     live.command("record")
