@@ -21,6 +21,8 @@ __all__ = ["Grabber"]
 
 # Time between attempts to open a source that is gone [s].
 _AGAIN = 1.0
+# Time between looks whether frames of files are wanted again [s].
+_PAUSE = 0.1
 
 
 class Grabber:
@@ -31,6 +33,8 @@ class Grabber:
         self.message = ""
         #: Gets every frame while it is set.
         self.recorder: Recorder | None = None
+        #: Whether nobody looks at frames. Files are not read then; a camera would fall behind.
+        self.is_idle: Callable[[], bool] = bool
         self._open, self._frames = open_source, open_source()
         self._changed, self._stopped = Condition(), Event()
         self._newest: Shot | None = None
@@ -74,6 +78,9 @@ class Grabber:
             try:
                 for shot in self._frames:
                     self._put(shot)
+                    while shot.waits and self.recorder is None and self.is_idle():
+                        if self._stopped.wait(_PAUSE):
+                            break
                     if self._stopped.is_set():
                         break
             # Drivers raise errors of any kind when a camera is pulled out.

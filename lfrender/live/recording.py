@@ -88,9 +88,11 @@ class Recorder:
         return told
 
     def close(self) -> None:
-        """Write what waits, and close the file."""
+        """Write what waits, and close the file; one without frames is removed."""
         self._queue.put(None)
         self._thread.join()
+        if not self.frames:
+            self.path.unlink(missing_ok=True)
 
     def _run(self) -> None:
         with self._file:

@@ -76,7 +76,6 @@ class View:
     sharp: Rendering | None = None
     gain: float = 1.0  # of what is shown
     jpegs: dict[Any, bytes] = field(default_factory=dict)
-    lock: Lock = field(default_factory=Lock)
 
     @cached_property
     def light(self) -> dict[str, Any]:
@@ -142,15 +141,14 @@ class View:
         """The same as a JPEG file; drawn once for all who ask."""
         import cv2
 
-        with self.lock:
-            key = (kind, at if kind == "focus" else None)
-            if key not in self.jpegs:
-                pixels = self.draw(kind, at)
-                if pixels.ndim == 3:
-                    pixels = cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR)
-                _, data = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
-                self.jpegs[key] = data.tobytes()
-            return self.jpegs[key]
+        key = (kind, at if kind == "focus" else None)
+        if key not in self.jpegs:
+            pixels = self.draw(kind, at)
+            if pixels.ndim == 3:
+                pixels = cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR)
+            _, data = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+            self.jpegs[key] = data.tobytes()
+        return self.jpegs[key]
 
 
 def _in_colour(shot: Shot, camera: Calibration) -> NDArray[Any]:
@@ -176,6 +174,7 @@ def _in_colour(shot: Shot, camera: Calibration) -> NDArray[Any]:
 class Session:
     """Analyses and draws the newest frame of a source again and again, in a thread of its own.
 
+    Only what somebody looks at is analysed; frames are recorded without that.
     `find_camera` gives the camera of a frame, measured on it unless it is `given`; where it fails,
     the raw frames are shown and it is tried again. Dim frames are shown brighter, by one gain until
     the next calibration (`exposure`). Recordings and snapshots go into `folder`, with the pixels of
@@ -195,6 +194,7 @@ class Session:
         self.grabber, self.preset, self.folder = grabber, preset, folder
         self.camera: Calibration | None = None
         self.view: View | None = None
+        self.shot: Shot | None = None  # the newest one, whether it was analysed or not
         self.latency, self.still, self.message, self.saved = 0.0, 0.0, "", ""
         self.scale: float | None = None
         self._exposure, self._gain = exposure, 1.0
@@ -205,8 +205,9 @@ class Session:
         self._reference: tuple[View, Calibration] | None = None
         self._chain = 0
         self._published, self._stopped = Condition(), Event()
-        self._recording = Lock()
+        self._recording, self._drawing = Lock(), Lock()
         self._thread = Thread(target=self._run, daemon=True)
+        grabber.is_idle = lambda: not self._watched(*KINDS)
 
     def start(self, strict: bool = False) -> None:
         """Find the camera on the first frame, and begin; `strict` raises an error of that."""
@@ -224,14 +225,17 @@ class Session:
         """The JPEG of a frame later than number `after`; None if there is none in time."""
         end = time.monotonic() + timeout
         with self._published:
-            while True:
+            while not self._stopped.is_set():
                 self._wanted[kind] = time.monotonic()
                 if (view := self.view) is not None and view.shot.number > after and view.has(kind):
                     break
                 if (left := end - time.monotonic()) <= 0:
                     return None
                 self._published.wait(min(left, 1.0))
-        data = view.jpeg(kind, at)
+            else:
+                return None
+        with self._drawing:
+            data = view.jpeg(kind, at)
         self.latency = time.monotonic() - view.shot.arrived
         return view, data
 
@@ -267,10 +271,12 @@ class Session:
             elif name == "stop" and self.grabber.recorder is not None:
                 recorder, self.grabber.recorder = self.grabber.recorder, None
                 recorder.close()
-                self.saved = recorder.told
-            elif name == "snapshot" and self.view is not None:
+                self.saved = "no frame came: nothing was recorded"
+                if recorder.frames:
+                    self.saved = recorder.told
+            elif name == "snapshot" and (shown := self._shown()) is not None:
                 recorder = self._open_recorder("snapshot")
-                recorder.add(self.view.shot)
+                recorder.add(shown)
                 recorder.close()
                 if recorder.message:
                     raise OutputError(recorder.message)
@@ -284,6 +290,9 @@ class Session:
         self.command("stop")
         if self._thread.is_alive():
             self._thread.join(timeout=5)
+        # The picture that is being drawn ends and no other begins: a process that ends while a
+        # thread is in a kernel is aborted.
+        self._drawing.acquire(timeout=5)
         self.grabber.close()
 
     def _open_recorder(self, name: str) -> Recorder:
@@ -296,14 +305,25 @@ class Session:
             time.monotonic() - self._wanted.get(kind, -_WATCHED) < _WATCHED for kind in kinds
         )
 
+    def _shown(self) -> Shot | None:
+        """The frame that pages show, or the newest one if nobody looks at a page."""
+        if self.view is not None and self._watched(*KINDS):
+            return self.view.shot
+        return self.shot
+
+    def _is_drawn(self, shot: Shot) -> bool:
+        """Whether all pictures of a frame are there that pages ask for."""
+        wanted = list(filter(self._watched, KINDS))
+        view = self.view
+        if view is None or view.shot is not shot:
+            return not wanted
+        return all(map(view.has, wanted))
+
     def _run(self) -> None:
         while not self._stopped.is_set():
-            shot = self.grabber.take(_PATIENCE)
-            if shot is None:
-                if self.view is None or all(map(self.view.has, filter(self._watched, KINDS))):
-                    continue
-                # Draw the same frame once more, for a page that asks for another kind of picture.
-                shot = self.view.shot
+            self.shot = shot = self.grabber.take(_PATIENCE) or self.shot
+            if shot is None or self._is_drawn(shot):
+                continue
             view = View(shot, shot.pixels, gain=self._gain)
             try:
                 self.message = self._analyze(view)

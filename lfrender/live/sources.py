@@ -60,6 +60,7 @@ class Shot:
     arrived: float = 0.0  # by the monotonic clock [s]
     time: float = 0.0  # since 1970 [s]
     recorded: bool = False  # whether it goes into a recording
+    waits: bool = False  # whether the source waits with its next frame, as files do
 
 
 def open_source(
@@ -106,7 +107,7 @@ def _play_files(path: Path, rate: float | None) -> Iterator[Shot]:
                     kept = None
             time.sleep(max(0.0, due - time.monotonic()))
             due = max(due + step, time.monotonic())
-            yield Shot(pixels, lost=lost)
+            yield Shot(pixels, lost=lost, waits=True)
             lost = 0
         if error is not None and not kept:
             raise SourceError(str(error))

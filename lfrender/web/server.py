@@ -17,9 +17,10 @@ from http.client import (
     INTERNAL_SERVER_ERROR,
     NOT_FOUND,
     REQUEST_ENTITY_TOO_LARGE,
+    SERVICE_UNAVAILABLE,
 )
 from itertools import chain
-from threading import Thread
+from threading import Event, Thread
 from typing import Any
 
 from starlette.applications import Starlette
@@ -119,8 +120,15 @@ class WebServer:
                 timeout_graceful_shutdown=0,
             )
         )
-        self._thread = Thread(target=self._server.run, args=([self._listening],), daemon=True)
-        self._thread.start()
+        # Not the end of the thread: Python takes a thread whose `join` was interrupted for ended.
+        self._ended = Event()
+        Thread(target=self._run, daemon=True).start()
+
+    def _run(self) -> None:
+        try:
+            self._server.run([self._listening])
+        finally:
+            self._ended.set()
 
     def __enter__(self) -> WebServer:
         return self
@@ -131,14 +139,14 @@ class WebServer:
     def close(self) -> None:
         """Answer no longer; connections are closed."""
         self._server.should_exit = True
-        self._thread.join(timeout=5)
+        self._ended.wait(5)
         # Not every version of Uvicorn does so.
         self._listening.close()
 
     def wait(self) -> None:
         """Wait until the server is closed, or for Ctrl-C."""
-        while self._thread.is_alive():
-            self._thread.join(timeout=0.5)
+        while not self._ended.wait(0.5):
+            pass
 
     @property
     def url(self) -> str:
@@ -265,7 +273,10 @@ async def _in_thread(answer: Answer, request: Request) -> Response:
             loop.call_soon_threadsafe(finish, response)
 
     Thread(target=run, daemon=True).start()
-    return await done
+    try:
+        return await done
+    except asyncio.CancelledError:
+        return PlainTextResponse("the page is closed", SERVICE_UNAVAILABLE)
 
 
 def _is_loopback(host: str) -> bool:

@@ -243,6 +243,46 @@ def test_live_refuses_a_dark_frame_of_another_camera(house_files, tmp_path):
     assert done.exit_code == 2 and "dark.tif: dark frame has shape (40, 30, 1)" in done.stderr
 
 
+def test_nothing_is_analysed_while_nobody_looks_and_a_page_gets_the_newest_frame(
+    session, tmp_path, monkeypatch
+):
+    live, source = session
+    analysed = []
+    analyze = live._analyze
+    monkeypatch.setattr(live, "_analyze", lambda view: analysed.append(view) or analyze(view))
+    live.command("record")
+    source.shoot(4)
+    wait_until(lambda: live.shot is not None and live.shot.number == 5)
+    wait_until(lambda: live.grabber.recorder.frames == 4)
+    live.command("stop")
+    live.command("snapshot")
+    assert analysed == [] and live.view is None
+    (snapshot,) = tmp_path.glob("snapshot-*.tif")
+    np.testing.assert_array_equal(lfcal.read_flat(snapshot), live.shot.pixels)
+    view, _ = live.picture("traditional", 0)
+    assert view.shot.number == 5 and analysed == [view]
+
+
+def test_files_are_not_read_while_nobody_looks(camera, house_files, tmp_path):
+    grabber = Grabber(lambda: open_source(str(house_files / "flat.png"), rate=1000))
+    live = Session(grabber, lambda shot: camera, "fast", tmp_path, given=True)
+    live.start(strict=True)
+    time.sleep(0.3)
+    idle = grabber.received
+    time.sleep(0.3)
+    assert grabber.received <= idle + 1
+    live.picture("raw", 0)
+    wait_until(lambda: grabber.received > idle + 20)
+    live.close()
+
+
+def test_a_recording_without_frames_is_no_file(session, tmp_path):
+    live, _ = session
+    live.command("record")
+    live.command("stop")
+    assert list(tmp_path.iterdir()) == [] and live.saved == "no frame came: nothing was recorded"
+
+
 def test_a_recording_that_the_disk_cannot_follow_skips_frames_and_says_so(tmp_path, monkeypatch):
     recorder = Recorder(tmp_path / "r.tif", {"camera": None, "preset": "fast", "scale": None})
 

@@ -5,6 +5,7 @@ quiet connections.
 from __future__ import annotations
 
 import http.client
+import signal
 import socket
 import threading
 import time
@@ -130,6 +131,28 @@ def test_an_answer_that_takes_longer_than_a_quiet_connection_may_is_given(monkey
             time.sleep(0.2)
             server.close()
         assert time.monotonic() - start < 3
+
+
+def test_a_request_that_waits_when_ctrl_c_ends_the_server_is_told_so():
+    waiting, go_on = threading.Event(), threading.Event()
+
+    def wait(_):
+        waiting.set()
+        go_on.wait(10)
+        return PlainTextResponse("late")
+
+    found = []
+    with WebServer({("GET", "/slow"): wait}) as server:
+        asks = threading.Thread(target=lambda: found.append(respond(server, "/slow")))
+        asks.start()
+        assert waiting.wait(5)
+        threading.Timer(0.2, lambda: signal.raise_signal(signal.SIGINT)).start()
+        with pytest.raises(KeyboardInterrupt):
+            server.wait()
+    go_on.set()
+    asks.join(5)
+    ((response, content),) = found
+    assert (response.status, content) == (503, b"the page is closed")
 
 
 def test_a_port_that_is_taken_is_refused_by_name(small_server):
