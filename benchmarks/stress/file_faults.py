@@ -68,6 +68,10 @@ def whole_files(folder: Path) -> dict[str, bytes]:
     variants: tuple[tuple[str, Any, dict[str, Any]], ...] = (
         ("tiles", grey, {"tile": (32, 32), "compression": "zlib"}),
         ("float", grey.astype(np.float32), {}),
+        ("lzw", colour, {"compression": "lzw", "photometric": "rgb"}),
+        ("zstd", grey, {"compression": "zstd", "rowsperstrip": 50}),
+        ("packbits", grey, {"compression": "packbits", "photometric": "miniswhite"}),
+        ("jpeg", colour, {"compression": "jpeg", "photometric": "rgb"}),
     )
     for name, pixels, options in variants:
         stream = io.BytesIO()
