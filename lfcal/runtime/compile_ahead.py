@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from .file_lock import file_lock
+from .kernel_cache import record_checksums
 
 __all__ = [
     "SIGNATURE_FILE",
@@ -114,8 +115,10 @@ def _compile(name: str, types: list[list[Any]]) -> bool:
     # A kernel that cannot be compiled here is compiled when it is called, or raises its error then.
     with suppress(Exception):
         kernel = getattr(import_module(module), function)
+        kernel = getattr(kernel, "kernel", kernel)
         for entries in types:
-            getattr(kernel, "kernel", kernel).compile(tuple(map(decode_type, entries)))
+            kernel.compile(tuple(map(decode_type, entries)))
+        record_checksums(kernel)
         return True
     return False
 

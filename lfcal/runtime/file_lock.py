@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import os
-import socket
+import platform
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from datetime import datetime
 from pathlib import Path
 from typing import TextIO
 
@@ -50,8 +50,8 @@ def _lock(path: Path, wait: bool) -> TextIO:
         with suppress(FileNotFoundError):
             if os.path.samestat(os.fstat(stream.fileno()), path.stat()):
                 stream.truncate(0)
-                since = datetime.now().strftime("%Y-%m-%d %H:%M:%S")
-                stream.write(f"process {os.getpid()} on {socket.gethostname()} since {since}")
+                since = time.strftime("%Y-%m-%d %H:%M:%S")
+                stream.write(f"process {os.getpid()} on {platform.node()} since {since}")
                 stream.flush()
                 return stream
         # The process before has removed the file.

@@ -14,6 +14,7 @@ process has compiled before:
 
 from __future__ import annotations
 
+import atexit
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -23,9 +24,13 @@ from typing import Any
 
 import numba
 
+from .kernel_cache import record_checksums, remove_damaged
+
 __all__ = ["FAST", "kernel", "share_out", "square"]
 
 FAST = {"contract", "arcp", "nsz", "reassoc"}
+# All kernels of this process.
+_KERNELS: list[Any] = []
 
 
 @numba.njit(inline="always")
@@ -53,6 +58,8 @@ def kernel(
     if function is None:
         return lambda given: kernel(given, share=share, **options)
     compiled = numba.njit(cache=True, nogil=True, **options)(function)
+    remove_damaged(compiled)
+    _KERNELS.append(compiled)
     if share is None:
         return compiled
 
@@ -63,6 +70,14 @@ def kernel(
     shared: Any = call
     shared.kernel = compiled
     return shared
+
+
+@atexit.register
+def _record_new() -> None:
+    """Write the checksums of the kernels that this process has compiled."""
+    for compiled in _KERNELS:
+        if compiled.stats.cache_misses:
+            record_checksums(compiled)
 
 
 @cache
