@@ -1,5 +1,6 @@
 """How the documentation is built: `sphinx-build docs build/docs` after `pip install '.[docs]'`."""
 
+import json
 import zlib
 from importlib.metadata import version as installed
 from pathlib import Path
@@ -128,6 +129,24 @@ def _show_examples(_app: object, ctx: Any, lines: list[str]) -> None:
         ]
 
 
+def _describe_object(name: str, result: type) -> str:
+    """The keys of what a command prints with --json, as a section of its page."""
+    from lfcal.runtime.command_line import describe_keys
+
+    rows = [f"   * - ``{key}``\n     - {told}" for key, told in describe_keys(result).items()]
+    link = f":download:`JSON Schema <schemas/{name}.json>`"
+    head = [
+        "",
+        "Keys of --json",
+        "--------------",
+        "",
+        f"{link}; keys without a value are null.",
+        "",
+    ]
+    table = [".. list-table::", "   :widths: 1 3", "", *rows, ""]
+    return "\n".join([*head, *table])
+
+
 def _write_commands(_app: object) -> None:
     """`built_commands`: a page for each command, and `overview.md` with all of them by workflow, as
     in `--help`.
@@ -137,6 +156,7 @@ def _write_commands(_app: object) -> None:
     import data_synth.cli
     import lfcal.cli.main
     import lfrender.cli.main
+    from lfcal.runtime.command_line import json_schema
 
     folder = Path(__file__).with_name("built_commands")
     folder.mkdir(exist_ok=True)
@@ -151,11 +171,18 @@ def _write_commands(_app: object) -> None:
                 pages.append(
                     (f"{program} {name}", command, f"{command.callback.__module__}:{name}")
                 )
+    folder_of_schemas = folder / "schemas"
+    folder_of_schemas.mkdir(exist_ok=True)
     summary = data_synth.cli.main.get_short_help_str(100)
     rows.append(f"| **Simulate** | [`lfsynth`](lfsynth.rst) | {summary} |")
-    for program, _, place in pages:
-        page = folder / f"{program.replace(' ', '-')}.rst"
-        page.write_text(f".. click:: {place}\n   :prog: {program}\n", encoding="utf-8")
+    for program, command, place in pages:
+        name = program.replace(" ", "-")
+        text = f".. click:: {place}\n   :prog: {program}\n"
+        if (result := getattr(command.callback, "result", None)) is not None:
+            text += _describe_object(name, result)
+            schema = json.dumps(json_schema(result), indent=1)
+            (folder_of_schemas / f"{name}.json").write_text(schema, encoding="utf-8")
+        (folder / f"{name}.rst").write_text(text, encoding="utf-8")
     contents = [
         "```{toctree}",
         ":hidden:",

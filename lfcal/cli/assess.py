@@ -9,6 +9,7 @@ import click
 from ..runtime import command_line as cl
 from ..runtime.output_file import check_output
 from .inputs import read_flats
+from .results import AssessResult
 
 __all__ = ["assess"]
 
@@ -44,7 +45,7 @@ _UM = cl.Quantity(after="[uµ]m")
 )
 @cl.option(*cl.DARK)
 @cl.output_option("PAGE.html", "Page with a drawing of each figure.", required=False)
-@cl.report_options
+@cl.report_options(AssessResult)
 def assess(report: cl.Report, given: Any) -> int:
     """Tell from the white image WHITE how the microlens array is mounted, and what to turn.
 

@@ -11,6 +11,7 @@ from ..runtime import command_line as cl
 from ..runtime.output_file import check_output
 from .figures import describe, summarise
 from .inputs import SIZE_OPTIONS, read_camera, read_image, read_size
+from .results import CameraResult, CompareResult, ConvertResult
 
 __all__ = ["compare", "convert", "info"]
 
@@ -18,7 +19,7 @@ __all__ = ["compare", "convert", "info"]
 @cl.command("lfcal info camera.json", "lfcal info calibration.xml --image flat.png")
 @click.argument("camera", type=cl.INPUT)
 @cl.with_options(*SIZE_OPTIONS)
-@cl.report_options
+@cl.report_options(CameraResult)
 def info(report: cl.Report, given: Any) -> None:
     """Show what is in the camera file CAMERA."""
     report.finish(
@@ -30,7 +31,7 @@ def info(report: cl.Report, given: Any) -> None:
 @click.argument("a", type=cl.INPUT)
 @click.argument("b", type=cl.INPUT)
 @cl.with_options(*SIZE_OPTIONS)
-@cl.report_options
+@cl.report_options(CompareResult)
 def compare(report: cl.Report, given: Any) -> None:
     """Tell how the microimage centres of cameras A and B differ.
 
@@ -89,7 +90,7 @@ def compare(report: cl.Report, given: Any) -> None:
     default=None,
 )
 @cl.with_options(*SIZE_OPTIONS)
-@cl.report_options
+@cl.report_options(ConvertResult)
 def convert(report: cl.Report, given: Any) -> None:
     """Write CAMERA in the format of another program, or the reverse.
 

@@ -12,6 +12,7 @@ from ..runtime.image_formats import TIFF_SUFFIXES
 from ..runtime.output_file import atomic_write, check_output
 from .figures import describe, summarise
 from .inputs import read_camera, read_flats
+from .results import FlattenResult, ShowResult
 
 __all__ = ["flatten", "show"]
 
@@ -21,7 +22,7 @@ __all__ = ["flatten", "show"]
 @cl.option("--image", cl.INPUT, "A white image or scene capture of that camera.", required=True)
 @cl.option(*cl.DARK)
 @cl.output_option("SHOW.png", "Picture to write.")
-@cl.report_options
+@cl.report_options(ShowResult)
 def show(report: cl.Report, given: Any) -> None:
     """Draw the circles of CAMERA over the centre and the corners of an image."""
     output = given.output
@@ -57,7 +58,7 @@ def show(report: cl.Report, given: Any) -> None:
 @cl.option("-c --camera", cl.INPUT, "Camera file with a gain map.", required=True)
 @cl.option(*cl.DARK)
 @cl.output_option("FLAT.tif", "Flattened flat to write.")
-@cl.report_options
+@cl.report_options(FlattenResult)
 def flatten(report: cl.Report, given: Any) -> None:
     """Light the microimages of FLAT evenly, by the gain map of CAMERA.
 

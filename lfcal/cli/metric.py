@@ -10,6 +10,7 @@ from ..runtime import command_line as cl
 from ..runtime.output_file import check_output
 from .figures import describe_blur, describe_optics
 from .inputs import read_flats
+from .results import BoardResult, MetricResult
 
 if TYPE_CHECKING:
     from ..boards.board import Board
@@ -86,7 +87,7 @@ def _read_board(given: Any) -> Board:
 )
 @cl.several_inputs("flats", "FLAT...")
 @cl.with_options(*_METRIC)
-@cl.report_options
+@cl.report_options(MetricResult)
 def metric(report: cl.Report, given: Any) -> None:
     """Measure the optics of a camera on FLATs of a board, for metres.
 
@@ -161,7 +162,7 @@ def metric(report: cl.Report, given: Any) -> None:
 )
 @cl.output_option("BOARD.pdf|.svg", "Page to write.")
 @cl.with_options(*_BOARD)
-@cl.report_options
+@cl.report_options(BoardResult)
 def board(report: cl.Report, given: Any) -> None:
     """Make a board to print, for 'lfcal metric'.
 
@@ -183,7 +184,7 @@ def _describe(found: MetricCalibration) -> dict[str, Any]:
 
     bound = np.array([pose.standard_errors for pose in found.poses]) / np.sqrt(found.widening)
     return {
-        **describe_optics(found.optics),
+        "optics": describe_optics(found.optics),
         "flats_used": len(found.poses),
         "corners": len(found.residual),
         "outliers": int((~found.used).sum()),

@@ -12,6 +12,7 @@ from lfcal.runtime.output_file import check_output
 from . import figures
 from .inputs import CaptureInput, is_large
 from .options import at_most_one, capture_command, connect_cluster, option_errors
+from .results import AnalyzeResult
 
 if TYPE_CHECKING:
     from lfcal import Calibration, Optics
@@ -31,6 +32,7 @@ _FORMS = {
 
 
 @capture_command(
+    AnalyzeResult,
     "lfrender analyze flat.png -o depth.npz",
     "lfrender analyze flat.png -c camera.json -o depth.npz --dense depth.tif --picture depth.png",
     "lfrender analyze flat.png -c camera.json -o depth.npz --roi 400 300 900 700",

@@ -16,6 +16,7 @@ from lfcal.runtime.output_file import make_folder
 
 from .inputs import CaptureInput
 from .options import at_most_one, declare
+from .results import PageResult
 
 if TYPE_CHECKING:
     from lfcal import Calibration
@@ -42,7 +43,7 @@ __all__ = ["live"]
 @cloup.option_group(
     "Where to show it", *(declare(name) for name in ("live_exposure", "host", "port", "no_browser"))
 )
-@cl.report_options
+@cl.report_options(PageResult)
 def live(report: cl.Report, given: Any) -> None:
     """Show a camera in the browser: raw, traditional, sharp, depth, in focus where you click.
 

@@ -14,6 +14,7 @@ from .live import live
 from .options import declare
 from .pages import demo, report, view
 from .render import render
+from .results import WarmResult
 from .sequence import batch
 from .views import lenslet, refocus, views
 from .volume import volume
@@ -23,7 +24,7 @@ __all__ = ["main"]
 
 @cl.command("lfrender warm", "lfrender warm --processes 4")
 @declare("processes")
-@cl.report_options
+@cl.report_options(WarmResult)
 def warm(report: cl.Report, given: Any) -> None:
     """Compile all kernels ahead, once for each installation.
 

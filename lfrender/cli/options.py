@@ -47,6 +47,7 @@ def declare(name: str, inputs: str = "FLAT", hidden: bool = False) -> Callable[[
 
 
 def capture_command(
+    result: type[cl.Result],
     *examples: str,
     output: tuple[str, ...] = (),
     own: Mapping[str, str] | None = None,
@@ -59,7 +60,8 @@ def capture_command(
     Its own options are `output`, as for `command_line.output_option`, and those of `own`: titles in
     the help, with names of options in the table. `refused` are options of captures that the command
     does not take, with the reason. A command that takes `several` inputs is called with all of
-    them, and its camera is calibrated from the first of the `inputs`. The help shows `examples`.
+    them, and its camera is calibrated from the first of the `inputs`. The help shows `examples`;
+    `result` is what `--json` prints.
     """
     reasons = refused or {}
 
@@ -82,7 +84,7 @@ def capture_command(
             flat = given.inputs[0] if several else values.pop("flat")
             return function(CaptureInput(report, flat, **fields), given)
 
-        decorated: Any = cl.report_options(run)
+        decorated: Any = cl.report_options(result)(run)
         decorated = cl.with_options(*(declare(name, hidden=True) for name in reasons))(decorated)
         shown: dict[str, list[Callable[[Any], Any]]] = {
             "Files": [cl.output_option(*output)] if output else []

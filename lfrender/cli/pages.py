@@ -17,6 +17,7 @@ from lfcal.runtime.output_file import check_folder, check_output
 from . import figures
 from .inputs import CaptureInput
 from .options import capture_command
+from .results import DemoResult, PageResult, ReportResult
 
 if TYPE_CHECKING:
     from lfcal import Calibration
@@ -25,6 +26,7 @@ __all__ = ["demo", "report", "view"]
 
 
 @capture_command(
+    PageResult,
     "lfrender view flat.png",
     "lfrender view flat.png -c camera.json --export page.html",
     "lfrender view frames -c camera.json",
@@ -121,6 +123,7 @@ def _loader(capture: CaptureInput, flats: list[Path]) -> Callable[[int], Any]:
 
 
 @capture_command(
+    ReportResult,
     "lfrender report flat.png -o report.html",
     "lfrender report flat.png -c camera.json -o report.html --preset fast",
     output=("REPORT.html", "Page to write.", ".html"),
@@ -158,7 +161,7 @@ def report(capture: CaptureInput, given: Any) -> None:
     default=Path("lfrender-demo"),
     show_default=True,
 )
-@cl.report_options
+@cl.report_options(DemoResult)
 def demo(report: cl.Report, given: Any) -> None:
     """Try everything on a simulated capture, and show it on a page.
 

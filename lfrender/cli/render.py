@@ -9,6 +9,7 @@ import click
 from . import figures
 from .inputs import CaptureInput, is_large
 from .options import at_most_one, capture_command, connect_cluster, option_errors
+from .results import RenderResult
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -23,6 +24,7 @@ __all__ = ["render"]
 
 
 @capture_command(
+    RenderResult,
     "lfrender render flat.png -o picture.tif",
     "lfrender render flat.png -c camera.json --depth depth.npz --scale 12 -o picture.png",
     "lfrender render flat.png --white white.png --patch-size -8.5 -o binocular.png",

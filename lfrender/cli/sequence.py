@@ -17,6 +17,7 @@ from lfcal.runtime.output_file import check_folder
 from .figures import percent
 from .inputs import CaptureInput
 from .options import capture_command, connect_cluster, option_errors
+from .results import BatchResult
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -32,6 +33,7 @@ __all__ = ["batch"]
 
 
 @capture_command(
+    BatchResult,
     "lfrender batch frames -o pictures",
     "lfrender batch film.mkv -c camera.json -o pictures --format png",
     "lfrender batch film.mkv -c camera.json -o sharp.mp4 --depth-maps depth.mp4",

@@ -15,6 +15,7 @@ from lfcal.runtime.output_file import check_folder, check_output
 from . import figures
 from .inputs import MOVING, CaptureInput
 from .options import at_most_one, capture_command, declare, option_errors
+from .results import LensletResult, RefocusResult, ViewsResult
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -33,6 +34,7 @@ _GRID = (5, 5)
 
 
 @capture_command(
+    RefocusResult,
     "lfrender refocus flat.png --at 700 420 -o picture.tif",
     "lfrender refocus flat.png -c camera.json -o stack.tif --stack 12",
     "lfrender refocus flat.png -o focus.mp4",
@@ -118,6 +120,7 @@ def _cut(picture: Rendering, capture: CaptureInput, calibration: Calibration) ->
 
 
 @capture_command(
+    ViewsResult,
     "lfrender views flat.png -o views --grid 5x5",
     "lfrender views flat.png -o pair.png --stereo",
     "lfrender views flat.png -o round.gif",
@@ -321,7 +324,7 @@ def _write_posed(
     "Of the views, if their names do not have row and column.",
 )
 @declare("grid_format")
-@cl.report_options
+@cl.report_options(LensletResult)
 def lenslet(report: cl.Report, given: Any) -> None:
     """Turn a grid of views into the flat of a regular lens array, or the reverse.
 

@@ -14,6 +14,7 @@ from .program import (
     with_options,
 )
 from .report import Report, echo, name_file_in_errors
+from .result import Result, describe_keys, json_schema
 
 __all__ = [
     "DARK",
@@ -26,8 +27,11 @@ __all__ = [
     "Program",
     "Quantity",
     "Report",
+    "Result",
     "command",
+    "describe_keys",
     "echo",
+    "json_schema",
     "name_file_in_errors",
     "option",
     "output_option",

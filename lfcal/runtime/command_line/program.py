@@ -18,8 +18,9 @@ import cloup
 from ..errors import LightFieldError
 from ..output_file import refuse_inputs
 from .interrupts import INTERRUPTED, handle_interrupts, leave_if_interrupted
-from .parameters import INPUTS, InputPath, OutputPath, Pair
-from .report import Report, echo
+from .parameters import INPUTS, InputPath, OutputPath, Pair, name_pipes
+from .report import Report, echo, echo_json
+from .result import VERSION, Failure
 
 __all__ = [
     "DARK",
@@ -33,6 +34,11 @@ __all__ = [
     "report_options",
     "with_options",
 ]
+
+
+#: Key in the context of a program: whether `--json` is among the words.
+_WANTS_JSON = "lfcal.json"
+_USER_ERRORS = (click.ClickException, LightFieldError, MemoryError, OSError)
 
 
 class Program(cloup.Group):
@@ -86,23 +92,44 @@ class Program(cloup.Group):
             # The reader of our output has ended. Python would report it again at exit.
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             sys.exit(1)
-        except click.ClickException as error:
-            message = error.format_message()
-            if isinstance(error, click.UsageError) and error.ctx:
-                stop = "."
-                if message.endswith((".", "?", ")")):
-                    stop = ""
-                message += f"{stop} See '{error.ctx.command_path} --help'."
-        except MemoryError:
-            message = "not enough memory for an image of this size"
-        except OSError as error:
-            message = f"{error.filename}: {error.strerror}"
-            if not error.filename:
-                message = str(error)
-        except LightFieldError as error:
-            message = str(error)
-        echo(f"{self.name}: {' '.join(message.split())}", err=True)
+        except _USER_ERRORS as error:
+            echo(f"{self.name}: {_explain(error)}", err=True)
         sys.exit(2)
+
+    def make_context(
+        self, info_name: str | None, args: list[str], *more: Any, **kwargs: Any
+    ) -> click.Context:
+        wants_json = "--json" in args
+        context = super().make_context(info_name, args, *more, **kwargs)
+        context.meta[_WANTS_JSON] = wants_json
+        return context
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run a command; with `--json`, an error that users can mend is printed as an object."""
+        try:
+            return super().invoke(ctx)
+        except _USER_ERRORS as error:
+            if ctx.meta.get(_WANTS_JSON) and not isinstance(error, BrokenPipeError):
+                failure = Failure.of(error, name_pipes(_explain(error)))
+                echo_json({"version": VERSION, "error": failure})
+            raise
+
+
+def _explain(error: BaseException) -> str:
+    """An error that users can mend, in one line."""
+    message = str(error)
+    if isinstance(error, click.ClickException):
+        message = error.format_message()
+    if isinstance(error, click.UsageError) and error.ctx:
+        stop = "."
+        if message.endswith((".", "?", ")")):
+            stop = ""
+        message += f"{stop} See '{error.ctx.command_path} --help'."
+    elif isinstance(error, MemoryError):
+        message = "not enough memory for an image of this size"
+    elif isinstance(error, OSError) and error.filename:
+        message = f"{error.filename}: {error.strerror}"
+    return " ".join(message.split())
 
 
 class _Command(cloup.Command):
@@ -226,19 +253,26 @@ def with_options(*options: Callable[[Any], Any]) -> Callable[[Any], Any]:
     return lambda function: reduce(lambda given, add: add(given), reversed(options), function)
 
 
-def report_options(function: Callable[[Report, Any], Any]) -> Callable[..., Any]:
-    """Give a command `--json`, `--quiet` and `--verbose`.
+def report_options(
+    result: Callable[..., Any],
+) -> Callable[[Callable[[Report, Any], Any]], Callable[..., Any]]:
+    """Give a command `--json`, `--quiet` and `--verbose`; `--json` prints a `result`.
 
     Its function is called with a `Report` and the values of its other options.
     """
 
-    @with_options(
-        option("--json as_json", bool, "Print the figures as one JSON object."),
-        option("--quiet", bool, "Print nothing but warnings."),
-        option("--verbose", bool, "Print the seconds of each stage on stderr when it ends."),
-    )
-    @wraps(function)
-    def run(as_json: bool, quiet: bool, verbose: bool, **values: Any) -> Any:
-        return function(Report(as_json, quiet, verbose), SimpleNamespace(**values))
+    def decorate(function: Callable[[Report, Any], Any]) -> Callable[..., Any]:
+        @with_options(
+            option("--json as_json", bool, "Print the figures, or an error, as one JSON object."),
+            option("--quiet", bool, "Print nothing but warnings."),
+            option("--verbose", bool, "Print the seconds of each stage on stderr when it ends."),
+        )
+        @wraps(function)
+        def run(as_json: bool, quiet: bool, verbose: bool, **values: Any) -> Any:
+            report = Report(as_json, quiet, verbose, result)
+            return function(report, SimpleNamespace(**values))
 
-    return run
+        run.result = result  # type: ignore[attr-defined]
+        return run
+
+    return decorate

@@ -17,7 +17,7 @@ from ..errors import LightFieldError
 from ..progress import ProgressDisplay
 from .parameters import is_piped, name_pipes
 
-__all__ = ["Report", "echo", "name_file_in_errors"]
+__all__ = ["Report", "echo", "echo_json", "name_file_in_errors"]
 
 # Control characters except line ends, and characters that turn the direction of writing.
 _CONTROL = "[\x00-\x09\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069]"
@@ -37,7 +37,15 @@ def echo(text: object, err: bool = False) -> None:
 class Report:
     """Progress and figures of one command, as `--json`, `--quiet` and `--verbose` ask for."""
 
-    def __init__(self, as_json: bool = False, quiet: bool = False, verbose: bool = False) -> None:
+    def __init__(
+        self,
+        as_json: bool = False,
+        quiet: bool = False,
+        verbose: bool = False,
+        result: Callable[..., Any] = dict,
+    ) -> None:
+        #: Class of the object that `--json` prints.
+        self.result = result
         self.as_json = as_json
         self.quiet = quiet
         self.verbose = verbose
@@ -107,18 +115,14 @@ class Report:
     def finish(self, figures: Mapping[str, Any], *sentences: str) -> None:
         """Print the warnings among the figures on stderr, and sentences that sum the figures up.
 
-        With `--json`, print all figures with the seconds of all stages; without any sentence, print
-        them as a table.
+        With `--json`, print all figures, which are the fields of `result`, with the seconds of all
+        stages; without any sentence, print them as a table.
         """
         found = {**figures, "warnings": [*figures.get("warnings", ()), *self.warnings]}
         if self.seconds or self.as_json:
             found["seconds"] = {name: round(value, 4) for name, value in self.seconds.items()}
         if self.as_json:
-            # NaN and infinity are null.
-            text = msgspec.json.encode(found, enc_hook=_built_in).decode()
-            # JSON escapes control characters below space, but not these.
-            text = re.sub("[\x7f-\x9f]", lambda match: f"\\u{ord(match[0]):04x}", text)
-            echo(text, err=is_piped())
+            echo_json(self.result(**found))
             return
         for warning in found.pop("warnings"):
             echo(f"warning: {warning}", err=True)
@@ -143,6 +147,15 @@ def name_file_in_errors(path: str | os.PathLike[str]) -> Iterator[None]:
         if str(path) in str(error):
             raise
         raise type(error)(f"{path}: {error}") from error
+
+
+def echo_json(value: Any) -> None:
+    """Print an object of results as one line of JSON, on stderr if an output goes to stdout."""
+    # NaN and infinity are null.
+    text = msgspec.json.encode(value, enc_hook=_built_in).decode()
+    # JSON escapes control characters below space, but not these.
+    text = re.sub("[\x7f-\x9f]", lambda match: f"\\u{ord(match[0]):04x}", text)
+    echo(text, err=is_piped())
 
 
 def _built_in(value: Any) -> Any:

@@ -9,6 +9,7 @@ import sys
 from dataclasses import replace
 
 import cv2
+import msgspec
 import numpy as np
 import pytest
 import tifffile
@@ -28,6 +29,8 @@ def run(*arguments):
 def figures_of(*arguments):
     result = run(*arguments, "--json")
     assert result.exit_code == 0, result.output
+    # The object has the keys and types that are documented.
+    msgspec.json.decode(result.stdout, type=main.commands[arguments[0]].callback.result)
     return json.loads(result.stdout)
 
 

@@ -42,14 +42,15 @@ def test_optics_are_added_to_the_camera_file(shared, tmp_path):
     )
     assert done.exit_code == 0, done.output
     figures = json.loads(done.stdout)
-    assert abs(figures["focal_length_mm"] - known["F_mm"]) < 4 * figures["focal_length_mm_error"]
+    optics = figures["optics"]
+    assert abs(optics["focal_length_mm"] - known["F_mm"]) < 4 * optics["focal_length_mm_error"]
     assert len(figures["cramer_rao_position_mm"]) == 3
     assert any(
         "mm, and not 50 mm as stated: --pixel is wrong" in warning
         for warning in figures["warnings"]
     )
     assert lfcal.load(camera).optics.focal_length == pytest.approx(
-        figures["focal_length_mm"], rel=1e-6
+        optics["focal_length_mm"], rel=1e-6
     )
     stored = json.loads(poses.read_text(encoding="utf-8"))
     assert [pose["flat"] for pose in stored["poses"]] == [

@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 
 import cv2
+import msgspec
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -23,6 +24,8 @@ def _run(*arguments):
 def _figures_of(*arguments):
     result = _run(*arguments, "--json")
     assert result.exit_code == 0, result.output
+    # The object has the keys and types that are documented.
+    msgspec.json.decode(result.stdout, type=main.commands[arguments[0]].callback.result)
     return json.loads(result.stdout)
 
 

@@ -43,7 +43,7 @@ def program(error=None):
     @click.argument("flat", type=cl.INPUT)
     @cl.option("--white", cl.INPUT, "A file.")
     @cl.option("--size", cl.Pair("WxH", "20x10"), "A size.")
-    @cl.report_options
+    @cl.report_options(cl.Result)
     def one(report, given):
         if error is not None:
             raise error
@@ -54,13 +54,13 @@ def program(error=None):
     @cl.option("-c --camera", cl.INPUT, "A file.")
     @cl.output_option("FILE", "A file.", replaces="camera")
     @cl.option("--page", cl.OutputPath(), "A page.")
-    @cl.report_options
+    @cl.report_options(cl.Result)
     def join(report, given):
         click.echo("joined")
 
     @cl.command("tool many *.png")
     @cl.several_inputs("images", "IMAGE...")
-    @cl.report_options
+    @cl.report_options(cl.Result)
     def many(report, given):
         click.echo(" ".join(map(str, given.images)))
 
@@ -140,6 +140,42 @@ def test_outputs_have_different_names_and_replace_no_input(folder, words, messag
 def test_user_errors_are_one_line_and_exit_code_2(folder, error, line):
     result = program(error)("one", "flat.png")
     assert (result.exit_code, result.stdout, result.stderr) == (2, "", line + "\n")
+
+
+@pytest.mark.parametrize(
+    ("error", "kind"),
+    [
+        (FlatError("flat.png: is empty"), "flat"),
+        (lfcal.CameraFileError("camera.json: is empty"), "camera_file"),
+        (OSError(28, "No space left on device", "out.tif"), "system"),
+        (MemoryError(), "memory"),
+        (click.UsageError("--a needs --b"), "usage"),
+    ],
+)
+def test_errors_are_objects_with_a_kind_and_the_same_text_for_programs(folder, error, kind):
+    plain = program(error)("one", "flat.png")
+    result = program(error)("one", "flat.png", "--json")
+    assert (result.exit_code, result.stderr) == (2, plain.stderr)
+    message = plain.stderr.strip().removeprefix("tool: ")
+    failure = {"kind": kind, "message": message}
+    assert json.loads(result.stdout) == {"version": 1, "error": failure}
+
+
+@pytest.mark.parametrize("words", [("one", "--json"), ("play", "--json"), ("one", "no.png")])
+def test_errors_of_usage_are_objects_too(folder, words):
+    result = program()(*words, "--json")
+    assert json.loads(result.stdout)["error"]["kind"] == "usage" and result.exit_code == 2
+
+
+@pytest.mark.parametrize(
+    ("program", "name"),
+    [(program, name) for program, group in PROGRAMS.items() for name in group.commands],
+)
+def test_each_key_of_each_object_is_described_in_its_schema(program, name):
+    result = PROGRAMS[program].commands[name].callback.result
+    schema = cl.json_schema(result)["$defs"][result.__name__]
+    assert {"version", "warnings", "seconds"} < set(schema["properties"])
+    assert all(entry["description"] for entry in schema["properties"].values())
 
 
 def test_ctrl_c_is_exit_code_130_and_programming_errors_are_not_hidden(folder):

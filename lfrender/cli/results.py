@@ -1,0 +1,335 @@
+"""What each command of lfrender prints with `--json`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from lfcal.runtime.command_line import Result
+
+__all__ = [
+    "AnalyzeResult",
+    "BatchResult",
+    "DemoResult",
+    "LensletResult",
+    "PageResult",
+    "RefocusResult",
+    "RenderResult",
+    "ReportResult",
+    "ViewsResult",
+    "VolumeResult",
+    "WarmResult",
+]
+
+_Pair = tuple[float, float]
+_Affine = tuple[tuple[float, float, float], tuple[float, float, float]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _CaptureFigures(Result):
+    """Figures of the camera; null where no depth was analysed, those of the depth.
+
+    pitch
+        Distance of neighbouring microimages [px].
+    lenses
+        Number of microimages on the flat.
+    camera_source
+        What the camera was made from: white, scene, published or truth.
+    camera_confidence
+        Probability that the lattice is right.
+    lenses_analysed
+        Number of lenses whose depth was analysed.
+    modes
+        Shares of these lenses: telescopic, binocular, unresolved.
+    patch_size_median
+        Median of abs(s) [px].
+    unresolved
+        Shares of lenses without a depth, by reason.
+    saved
+        Shares of the work that shortcuts saved.
+    distance_median
+        Median distance in front of the main lens [m]; with optics.
+    distance_range
+        Distances [m] between which nine tenths of the lenses lie.
+    distance_error
+        Median of the standard errors of the distances [m].
+    """
+
+    pitch: float
+    lenses: int
+    camera_source: str
+    camera_confidence: float
+    lenses_analysed: int | None = None
+    modes: dict[str, float] | None = None
+    patch_size_median: float | None = None
+    unresolved: dict[str, float] | None = None
+    saved: dict[str, float] | None = None
+    distance_median: float | None = None
+    distance_range: tuple[float | None, float | None] | None = None
+    distance_error: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class _PictureFigures(_CaptureFigures):
+    """A picture and its place over the flat.
+
+    picture
+        The file.
+    size
+        Width and height [px].
+    scale
+        Output pixels per pitch.
+    valid
+        Share of pixels that a lens has seen.
+    affine
+        From pixel (u, v, 1) to scene coordinates [px of the flat].
+    """
+
+    picture: str | None = None
+    size: tuple[int, int]
+    scale: float
+    valid: float
+    affine: _Affine
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderResult(_PictureFigures):
+    """The picture.
+
+    tiles
+        Number of tiles, if it was drawn in tiles.
+    tiles_kept
+        Number of tiles that an earlier run had drawn.
+    """
+
+    tiles: int | None = None
+    tiles_kept: int | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class RefocusResult(_PictureFigures):
+    """The picture in focus at one depth, or a focal stack.
+
+    pictures
+        The files of a stack that has several; `picture` is null then.
+    patch_sizes
+        Patch size in focus [px] of each picture; empty where a place was given.
+    """
+
+    pictures: list[str] | None = None
+    patch_sizes: list[float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class AnalyzeResult(_CaptureFigures):
+    """The depth.
+
+    depth
+        The file of `--output`.
+    colours
+        Magnifications at both ends of the colours of `--picture`.
+    """
+
+    depth: str
+    colours: _Pair | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewsResult(_CaptureFigures):
+    """Views of other places in the main lens.
+
+    views
+        The folder or file.
+    offsets
+        Viewpoint of each view [px of the microimages]: x, y.
+    unit
+        Of posed views: metres or pitches.
+    camera_error
+        Of posed views: error of the camera model [px].
+    positions
+        Of posed views: position of each camera.
+    """
+
+    views: str
+    offsets: list[_Pair]
+    unit: str | None = None
+    camera_error: float | None = None
+    positions: list[tuple[float, float, float]] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class VolumeResult(_CaptureFigures):
+    """Volumes; all figures are those of the last one.
+
+    volume
+        The first file.
+    volumes
+        All files.
+    shape
+        Voxels along z, y and x.
+    spacing
+        Distance of voxels along z, y and x, in the unit.
+    unit
+        um or px.
+    residual
+        Part of the flat that the volume does not explain.
+    noise
+        Noise of the flat, in the same measure.
+    steps
+        Steps of the deconvolution.
+    stopped
+        Why it stopped.
+    """
+
+    volume: str
+    volumes: list[str]
+    shape: list[int]
+    spacing: list[float]
+    unit: str
+    residual: float
+    noise: float
+    steps: int
+    stopped: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class BatchResult(Result):
+    """A run over the frames of a sequence; exit code 1 if frames failed.
+
+    film
+        The film, if it is one.
+    pictures
+        The folder, if it is no film.
+    rendered
+        Number of frames that were rendered.
+    kept
+        Number of frames that an earlier run had rendered.
+    failed
+        Number of frames that failed; `warnings` say why.
+    seconds_per_frame
+        Seconds of each rendered frame.
+    still
+        Share of lenses that had not moved.
+    depth_maps
+        The folder or film of `--depth-maps`.
+    colours
+        Magnifications at both ends of the colours of a film of depth.
+    """
+
+    film: str | None = None
+    pictures: str | None = None
+    rendered: int
+    kept: int
+    failed: int
+    seconds_per_frame: float
+    still: float
+    depth_maps: str | None = None
+    colours: _Pair | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReportResult(_CaptureFigures):
+    """The page about a flat.
+
+    report
+        The file.
+    """
+
+    report: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class PageResult(Result):
+    """The page.
+
+    page
+        Its address, or its file.
+    """
+
+    page: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class DemoResult(Result):
+    """The simulated capture against its truth; `one_depth` are lenses that see one depth.
+
+    page
+        The file.
+    flat_size
+        Width and height of the flat [px].
+    pitch
+        True distance of neighbouring microimages [px].
+    lenses
+        Number of microimages.
+    lenses_judged
+        Number of lenses whose truth has a mode.
+    calibration
+        Error of the centres [px, RMS] and confidence, from the scene and from the white image.
+    mode_right
+        Share of lenses with the true mode.
+    mode_wrong
+        Share of lenses with the other mode.
+    magnification_error
+        Median relative error of the magnification.
+    merit
+        PSNR [dB] and SSIM of each picture against the truth.
+    fixed_patch_size
+        Patch size [px] of the pictures of one patch size.
+    picture_size
+        Width and height of the sharp picture [px].
+    scale
+        Its pixels per pitch.
+    """
+
+    page: str
+    flat_size: tuple[int, int]
+    pitch: float
+    lenses: int
+    lenses_judged: int
+    calibration: dict[str, dict[str, float]]
+    mode_right: dict[str, float]
+    mode_wrong: dict[str, float]
+    magnification_error: dict[str, float]
+    merit: dict[str, dict[str, float]]
+    fixed_patch_size: dict[str, float]
+    picture_size: tuple[int, int]
+    scale: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class LensletResult(Result):
+    """The flat of a grid of views, or the views of a flat.
+
+    flat
+        The file of the flat.
+    camera
+        Its camera file.
+    views
+        The folder of the views.
+    grid
+        Rows and columns of the views.
+    size
+        Width and height of the flat or of each view [px].
+    """
+
+    flat: str | None = None
+    camera: str | None = None
+    views: str | None = None
+    grid: tuple[int, int]
+    size: tuple[int, int]
+
+
+@dataclass(frozen=True, kw_only=True)
+class WarmResult(Result):
+    """Compiled kernels.
+
+    compiled
+        Whether kernels had to be compiled.
+    kernels_failed
+        Number of kernels that could not be compiled.
+    compile_seconds
+        Seconds of compiling.
+    """
+
+    compiled: bool
+    kernels_failed: int
+    compile_seconds: float
