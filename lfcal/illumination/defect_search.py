@@ -29,6 +29,11 @@ _TENTH_TO_SIGMA = 1 / NormalDist().inv_cdf(NINE_TENTHS[2])
 _LEVELS = 32
 # [px] Sides of the squares over which residuals are averaged.
 _SQUARES = (3, 7)
+# [px] Errors of the place of rims within a pixel, which lenses share out among pixels by chance.
+# With 0.2 to 0.3 px no rim of 22 simulated white images is a defect and no hot pixel is lost, with
+# 0.1 px up to 35 are, with 0.4 px 3 % of the hot pixels are lost at 8 bits.
+_PLACE = 0.25
+_AROUND = np.ones((3, 3), np.uint8)
 # Places that are compared at once, so that memory does not grow with the flat.
 _PART = 20_000
 # Residuals of half a per cent of the light harm no picture; lenses differ by three times as much.
@@ -47,22 +52,20 @@ def find_defects(picture: Singles, lattice: Lattice, lights: LensLights) -> tupl
     """
     import cv2
 
-    residual, clipped = _compute_residuals(picture, lattice, lights)
+    residual, clipped, isolated = _compute_residuals(picture, lattice, lights)
     small, large = (
         np.float32(side)
         * np.asarray(cv2.blur(clipped, (side, side), borderType=cv2.BORDER_REFLECT), np.float32)
         for side in _SQUARES
     )
-    outside = np.zeros(picture.shape, np.bool_)
     bad = np.zeros(picture.shape, np.bool_)
+    # Large squares, which are left out, show errors of the map that harm no centre.
+    outside = (np.abs(residual) > SIGNIFICANT) | (np.abs(small) > SIGNIFICANT)
     for values in (residual, small, large):
-        differs = np.abs(values) > SIGNIFICANT
-        if values is not large:
-            # Large squares show errors of the map that harm no centre.
-            outside |= differs
-        if values is not residual:
-            # Dust takes light away; light patches are glare.
-            differs &= values < 0
+        # Dust takes light away; light patches are glare.
+        differs = values < -SIGNIFICANT
+        if values is residual:
+            differs = np.abs(isolated) > SIGNIFICANT
         if values is large:
             # A large square that reaches over the rim of a speck does not make its middle part of
             # it.
@@ -84,21 +87,32 @@ def find_defects(picture: Singles, lattice: Lattice, lights: LensLights) -> tupl
 
 def _compute_residuals(
     picture: Singles, lattice: Lattice, lights: LensLights
-) -> tuple[Singles, Singles]:
+) -> tuple[Singles, Singles, Singles]:
     """Differences (h, w) of the pixels from the gain map, in standard deviations.
 
     The deviations are those of pixels that should be as bright. The differences are clipped and
     have mean 0.
 
     Clipped ones are for means over squares: one bright pixel does not make a square of them a
-    defect.
+    defect. Third are the differences of single pixels, less what rims explain that lie beside those
+    of the map.
     """
+    import cv2
+
     gain = RegionGain(lights.gain, lattice).at(0, 0, *lattice.image_size, least_light=-np.inf)
     unlit = gain == 0
     np.sqrt(np.maximum(gain, 0, out=gain), out=gain)
     brightest = float(np.sqrt(lights.brightest))
     level = np.clip(gain * _LEVELS, 0, _LEVELS - 1).astype(np.uint8)
     gain *= brightest
+    # What lies beyond the light of the map around a pixel is not explained by a misplaced rim.
+    lowest = np.asarray(cv2.erode(gain, _AROUND), np.float32)
+    highest = np.asarray(cv2.dilate(gain, _AROUND), np.float32)
+    beyond = picture - np.clip(picture, lowest, highest)
+    tolerance = np.subtract(highest, lowest, out=highest)
+    tolerance *= _PLACE / 2
+    # Noise is symmetric in the light of a pixel, not in its root.
+    darker = np.clip((picture + gain) / np.maximum(2 * gain, np.float32(1e-6)), 0, 1)
     residual = np.subtract(picture, gain, out=gain)
     middle, mean = np.zeros((2, _LEVELS), np.float32)
     scale, even = np.ones((2, _LEVELS), np.float32)
@@ -126,7 +140,11 @@ def _compute_residuals(
     residual /= scale[level]
     residual[unlit] = np.nan
     clipped = (np.clip(residual, -3, 3) - mean[level]) * even[level]
-    return residual, np.nan_to_num(clipped, copy=False)
+    beyond /= scale[level]
+    tolerance /= scale[level]
+    isolated = beyond + (residual - beyond) / np.sqrt(1 + tolerance * tolerance)
+    isolated *= darker
+    return residual, np.nan_to_num(clipped, copy=False), isolated
 
 
 def _differs_from_pixels(picture: Singles, rows: Integers, columns: Integers) -> Booleans:
