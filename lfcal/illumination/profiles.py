@@ -132,6 +132,8 @@ def fit_scene_profile(found: ProfilePixels, gain: GainMap) -> tuple[Floats, bool
     types = np.zeros(len(found.sample.field), np.int8)
     light, weight, _ = found.sum_windows(gain, types, CORES[0] * gain.radius)
     pixels = weight.sum((0, 1))
+    from scipy.optimize import isotonic_regression
+
     profile = gain.profile
     measured = len(light) >= _FEWEST_WINDOWS
     rings = np.arange(len(profile))
@@ -140,7 +142,7 @@ def fit_scene_profile(found: ProfilePixels, gain: GainMap) -> tuple[Floats, bool
         ratio = light[:, 0] / np.maximum(weight[:, 0], 1e-12)
         profile = 1 + np.interp(rings, rings[filled], _shrunk_mean(ratio - 1, weight[:, 0])[filled])
     pixels = np.maximum(pixels, FEW_PIXELS * max(float(pixels.max()), 1.0))
-    falling = _fit_falling(profile, pixels)
+    falling = isotonic_regression(profile, weights=pixels, increasing=False).x
     inside = rings * gain.step < gain.radius
     rise = np.average((profile - falling)[inside] ** 2, weights=pixels[inside])
     measured &= bool(rise <= _CONTENT**2)
@@ -148,18 +150,6 @@ def fit_scene_profile(found: ProfilePixels, gain: GainMap) -> tuple[Floats, bool
     if not measured:
         profile = np.where(profile > BEFORE_RIM, 1, profile)
     return np.asarray(profile), measured
-
-
-def _fit_falling(values: Floats, weight: Floats) -> Floats:
-    """The weighted least-squares fit (k,) to values (k,) that never rises (isotonic regression)."""
-    ends = np.cumsum(np.column_stack([weight, weight * values]), axis=0)
-    starts = ends - np.column_stack([weight, weight * values])
-    sums = ends[None] - starts[:, None]
-    means = sums[..., 1] / np.where(sums[..., 0] > 0, sums[..., 0], np.inf)
-    # The largest mean from each first ring to a last ring from k on; of these the least, up to k.
-    means[np.tril_indices(len(values), -1)] = -np.inf
-    largest = np.maximum.accumulate(means[:, ::-1], axis=1)[:, ::-1]
-    return np.minimum.accumulate(largest, axis=0).diagonal()
 
 
 def fit_type_profiles(
