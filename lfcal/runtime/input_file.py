@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import stat
+from codecs import BOM_UTF16_BE, BOM_UTF16_LE
+from io import BytesIO, TextIOWrapper
 
 from .arrays import LARGEST_BLOCK
 from .errors import check_path
@@ -35,12 +37,17 @@ def open_regular(path: str | os.PathLike[str]) -> int:
 
 
 def read_text(path: str | os.PathLike[str]) -> str:
-    """The text of a file in UTF-8, with or without a byte order mark.
+    """The text of a file in UTF-8, with or without a byte order mark, or in UTF-16 with one.
 
     OSError if it has more than `LARGEST_TEXT` bytes.
     """
-    with open(open_regular(path), encoding="utf-8-sig") as stream:
+    with open(open_regular(path), "rb") as stream:
         size = os.fstat(stream.fileno()).st_size
         if size > LARGEST_TEXT:
             raise OSError(f"has {size / 1e6:,.0f} MB, more than any such file")
-        return stream.read()
+        data = stream.read()
+    encoding = "utf-8-sig"
+    if data.startswith((BOM_UTF16_LE, BOM_UTF16_BE)):
+        encoding = "utf-16"
+    with TextIOWrapper(BytesIO(data), encoding) as text:
+        return text.read()

@@ -164,9 +164,11 @@ def to_flat(name: str, data: NDArray[Any], width: int, height: int) -> Shot:
             "the like"
         )
     if packed and data.dtype == np.uint8:
-        first, middle, last = (
-            part.astype(np.uint16) for part in data[: width * height * 3 // 2].reshape(-1, 3).T
-        )
+        # Two pixels are three bytes; the last one of an odd number has two.
+        if width * height % 2 and data.size == (width * height * 3 + 1) // 2:
+            data = np.append(data, np.uint8(0))
+        triples = data[: data.size // 3 * 3].reshape(-1, 3)
+        first, middle, last = (part.astype(np.uint16) for part in triples.T)
         # PFNC has the low bits first, GigE Vision 1 ("Packed") the high ones.
         low = middle & 0xF
         one = first << 4 | low
@@ -174,9 +176,14 @@ def to_flat(name: str, data: NDArray[Any], width: int, height: int) -> Shot:
             one = first | low << 8
         values = np.stack([one, last << 4 | middle >> 4], 1).ravel()
     else:
-        values = data.view(np.uint8).view(np.uint8 if bits == "8" else "<u2")
+        data = data.view(np.uint8)
+        values = data
+        if bits != "8":
+            values = data[: data.size // 2 * 2].view("<u2")
     order = _ORDERS.get(colours[:3], [0])
     channels = len(colours) if len(order) > 1 else 1
+    if values.size < width * height * channels:
+        raise SourceError(f"the camera gave a frame of {data.nbytes:,} bytes, which is incomplete")
     pixels = values[: width * height * channels].reshape((height, width, channels))
     filters = {"RG": "RGGB", "BG": "BGGR", "GR": "GRBG", "GB": "GBRG"}.get(
         colours.removeprefix("Bayer")

@@ -7,8 +7,9 @@ import re
 import sys
 import warnings
 from collections.abc import Callable
-from difflib import get_close_matches
+from difflib import SequenceMatcher
 from functools import reduce, wraps
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -132,6 +133,15 @@ def _explain(error: BaseException) -> str:
     return " ".join(message.split())
 
 
+# Names are suggested whose letters before the suffix are the same to this share.
+_SIMILAR = 0.75
+
+
+def _similarity(path: Path, name: str) -> float:
+    """How similar a name is to that of a path, without the suffixes; 1 of equal ones."""
+    return SequenceMatcher(None, path.stem.lower(), Path(name).stem.lower()).ratio()
+
+
 class _Command(cloup.Command):
     """A command whose inputs must exist; similar names are suggested for a mistyped one.
 
@@ -151,6 +161,10 @@ class _Command(cloup.Command):
         try:
             return super().parse_args(ctx, words)
         except click.NoSuchOption as error:
+            files = [word for word in args if word[:1] == "-" and os.path.exists(word)]
+            if files:
+                belongs = f"{files[0]} is taken for an option: write ./{files[0]} for the file"
+                raise click.UsageError(belongs, ctx) from error
             owners = self._find_owners(ctx, error.option_name)
             if not owners:
                 raise
@@ -172,7 +186,11 @@ class _Command(cloup.Command):
                 names = []
                 if path.parent.is_dir():
                     names = os.listdir(path.parent)
-                similar = get_close_matches(path.name, names, 2)
+                alike = {name: _similarity(path, name) for name in names}
+                similar = sorted(
+                    (name for name in names if alike[name] >= _SIMILAR),
+                    key=lambda name: (-alike[name], name),
+                )[:2]
                 hint = " or ".join(str(path.with_name(name)) for name in similar)
                 ending = ""
                 if hint:

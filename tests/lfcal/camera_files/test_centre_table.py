@@ -107,6 +107,16 @@ def test_the_command_converts_a_table_and_says_how_well_the_centres_keep_to_the_
     assert json.loads(up.stdout)["lens_types"]["count"] == 3
 
 
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-be"])
+def test_tables_of_other_encodings_are_read(camera, tmp_path, encoding):
+    convert(camera, tmp_path / "plain.csv")
+    text = (tmp_path / "plain.csv").read_text(encoding="utf-8")
+    if encoding == "utf-16-be":
+        text = "\ufeff" + text
+    (tmp_path / "table.csv").write_text(text, encoding=encoding)
+    assert lfcal.load(tmp_path / "table.csv", SIZE) == lfcal.load(tmp_path / "plain.csv", SIZE)
+
+
 def test_an_image_that_shows_nothing_leaves_a_warning(camera, tmp_path):
     np.savetxt(tmp_path / "table.csv", table_of(camera), fmt="%.4f", delimiter=",")
     readings = [lfcal.load(tmp_path / "table.csv", SIZE, y_up=up) for up in (False, True)]

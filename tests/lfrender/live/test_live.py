@@ -131,6 +131,21 @@ def test_pixel_formats_of_genicam_are_unpacked(name, data, expected, mosaic, whi
         to_flat("YUV422_8", given, 2, 2)
 
 
+@pytest.mark.parametrize("name", ["Mono8", "Mono16", "Mono12p", "Mono12Packed", "BGR8"])
+@pytest.mark.parametrize("size", [0, 1, 7])
+def test_incomplete_frames_of_genicam_are_refused(name, size):
+    with pytest.raises(SourceError, match="incomplete"):
+        to_flat(name, np.ones(size, np.uint8), 3, 3)
+
+
+@pytest.mark.parametrize("size", [14, 15])
+def test_an_odd_number_of_packed_pixels_is_unpacked(size):
+    data = np.resize(np.array([0x21, 0x43, 0x65], np.uint8), size)
+    np.testing.assert_array_equal(
+        to_flat("Mono12p", data, 3, 3).pixels.ravel(), [*[0x321, 0x654] * 4, 0x321]
+    )
+
+
 @pytest.mark.parametrize("mosaic", ["RGGB", "BGGR", "GRBG", "GBRG"])
 @pytest.mark.parametrize("recorded", [True, False])
 def test_raw_mosaics_get_their_colours(mosaic, recorded):

@@ -28,7 +28,7 @@ PROGRAMS = {"lfcal": lfcal.cli.main.main, "lfrender": lfrender.cli.main.main}
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    for name in ("flat.png", "frame_1.png", "frame_2.png", "odd[1].png", "white.png"):
+    for name in ("flat.png", "frame_1.png", "frame_2.png", "odd[1].png", "-dash.png", "white.png"):
         (tmp_path / name).touch()
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("HOME", str(tmp_path))
@@ -86,6 +86,8 @@ def test_a_pattern_that_the_shell_did_not_expand_stands_for_the_files_it_matches
 @pytest.mark.parametrize(
     ("words", "message"),
     [
+        (("one", "fxxe.png"), "tool: fxxe.png: does not exist\n"),
+        (("one", "-dash.png"), "-dash.png is taken for an option: write ./-dash.png"),
         (("one", "flat.png", "--white", "frame*"), "frame* stands for 2 files"),
         (("one",), "Missing argument 'FLAT'"),
         (("one", "flat.pgn"), "flat.pgn: does not exist; did you mean flat.png?"),
