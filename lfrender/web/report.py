@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Calibration
-from lfcal.runtime.arrays import exposure_gain, to_eight_bits
 from lfcal.runtime.output_file import atomic_write
 from lfcal.runtime.page import to_svg
 
 from ..data.depth_map import BINOCULAR, MODE_COLOURS, MODES, REASONS, TELESCOPIC, DepthMap, finite
 from ..data.rendering import PictureGrid
 from ..output.depth_picture import lens_maps, magnification_limits
+from ..output.finish import Finish
 from .calibration_figure import calibration_panels, flat_part
 from .report_pictures import ReportPictures, data_urls, draw_pictures, picture_url, reduce_picture
 from .templates import Markup, fill, read_asset
@@ -84,19 +84,16 @@ def write_report(
     grid = PictureGrid(lattice.image_size, lattice.pitch, scale)
     maps = lens_maps(depth, lattice, grid.affine(), grid.size[::-1])
     charts = {name: picture_url(picture, ".png") for name, picture in maps.items()}
-    raw = to_eight_bits(flat, calibration.white_level, exposure_gain(flat, calibration.white_level))
-    shown = {
-        "all_in_focus": pictures.sharp.image,
-        **{name: picture.image for name, picture in pictures.fixed.items()},
-        "traditional": pictures.traditional.image,
-        **(compare or {}),
-        "flat": reduce_picture(raw, min(1.0, _WIDTH / flat.shape[1])),
-    }
-    gain = exposure_gain(pictures.sharp.image, calibration.white_level)
+    raw = Finish("flat.webp").show(flat, calibration)
+    finish = Finish("picture.webp")
+    drawn = {"all_in_focus": pictures.sharp, **pictures.fixed, "traditional": pictures.traditional}
+    shown = {name: finish.apply(picture).image for name, picture in drawn.items()}
+    shown |= {name: finish.show(pixels, calibration) for name, pixels in (compare or {}).items()}
+    shown["flat"] = reduce_picture(raw, min(1.0, _WIDTH / flat.shape[1]))
     panels = calibration_panels(flat, calibration)
     crop = flat_part(flat, _most_detail(pictures), _CROP * calibration.lattice.pitch)
     room = _ROOM - sum(map(len, [*charts.values(), further, panels, crop["url"]]))
-    urls, size = data_urls(shown, room, calibration.white_level, gain)
+    urls, size = data_urls(shown, room)
     names = {"all_in_focus": "all in focus", "traditional": "traditional"}
     names |= {name: f"one patch size, {name}" for name in pictures.fixed}
     names |= {name: name for name in compare or {}}
@@ -204,7 +201,7 @@ def _figures(
         "telescopic": f"{np.mean(depth.mode == 1):.1%}",
         "binocular": f"{np.mean(depth.mode == -1):.1%}",
         "magnification M, median": f"{np.median(known):.2f}" if known.size else "unknown",
-        "calibration confidence": f"{calibration.confidence:.2f}",
+        "calibration confidence": calibration.confidence_text,
         "pixels per microlens pitch": f"{pictures.sharp.scale:.1f}",
     }
     if calibration.optics is not None:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfcal import Calibration, LightFieldError
-from lfcal.runtime.arrays import MOST, exposure_gain, to_eight_bits
+from lfcal.runtime.arrays import MOST
 
 from ..data.depth_map import DepthMap, check_depth, default_scale
 from ..data.surface import edge_step
@@ -21,6 +21,7 @@ from ..flat.lens_graph import lens_displacements, lens_offsets, nearest_lens
 from ..flat.lens_type_weights import WEIGHT_RATIOS, focus_weights
 from ..flat.validation import check_flat
 from ..output.depth_picture import colour_scale, magnification_limits
+from ..output.finish import Finish
 from ..rendering.blend.lit_flat import dilate_mask
 from ..rendering.blend.occlusion import project_surface
 from ..rendering.renderer import AGREEMENT, REACH, REFOCUS_REACH, VIEW_REACH
@@ -84,9 +85,9 @@ def viewer_scene(
     scene = _tables(calibration, depth, edge, pixels)
     scene |= {"title": title, "size": [width, height], "metric": calibration.optics is not None}
     scene["rings"] = {"step": step, "values": _base64(np.column_stack(rings), np.float32)}
-    white = calibration.white_level
     with_occlusion = []
-    gain = exposure_gain(pixels, white)
+    finish = Finish("flat.webp")
+    finish.measure_flat(pixels, calibration)
     for name, (x, y) in places.items():
         part = _cut(codes, x, y, side)
         if part.any():
@@ -95,13 +96,11 @@ def viewer_scene(
                 np.uint8
             )
             yield f"occlusion-{name}.png", encode_picture(coded, ".png", compression)
-        shown = to_eight_bits(_cut(even, x, y, side), white, gain)
+        shown = finish.show(_cut(even, x, y, side), calibration)
         yield f"flat-{name}.png", encode_picture(shown, ".png", compression)
     plain = traditional(flat, calibration)
-    yield (
-        "traditional.png",
-        encode_picture(to_eight_bits(plain.image, white, gain), ".png", compression),
-    )
+    shown = finish.apply(plain).image
+    yield "traditional.png", encode_picture(shown, ".png", compression)
     scene["traditional"] = {"first": plain.affine[:, 2], "shape": plain.image.shape[:2]}
     columns, rows = (len(set(ends)) for ends in zip(*places.values(), strict=True))
     scene["tiles"] = {"side": side, "columns": columns, "rows": rows, "occlusion": with_occlusion}
