@@ -8,9 +8,8 @@ import click
 
 from lfcal.runtime import command_line as cl
 from lfcal.runtime.image_formats import MOSAICS
-from lfcal.runtime.tone import Tone
 
-from ..runtime.choices import Detail, PoseFormat, Preset
+from ..runtime.choices import Detail, PoseFormat, Preset, Tone
 
 __all__ = ["TABLE"]
 
@@ -211,8 +210,7 @@ TABLE = {
     "depth_maps": _row(
         "--depth-maps",
         cl.OutputPath(),
-        "Also the depth of every frame: FRAME.npz in a folder, or a film of magnifications in "
-        "colours.",
+        "Also the depth of every frame: FRAME.npz in a folder, or a film of depth in colours.",
         "FOLDER|FILM",
     ),
     "fps": _row(
@@ -235,7 +233,15 @@ TABLE = {
         bool,
         "Write NaN to --dense where no lens has a depth, not that of places around.",
     ),
-    "picture": _row("--picture", _OUTPUT, "Magnification M in colours.", "DEPTH.png"),
+    "picture": _row(
+        "--picture", _OUTPUT, "Depth in colours: far is dark, near is light.", "DEPTH.png"
+    ),
+    "uncertainty": _row(
+        "--uncertainty",
+        _OUTPUT,
+        "Standard error of the patch size in colours: sure is dark, unsure is light.",
+        "ERROR.png",
+    ),
     "ply": _row(
         "--ply",
         _OUTPUT,

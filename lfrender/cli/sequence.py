@@ -104,9 +104,9 @@ def batch(capture: CaptureInput, given: Any) -> int:
         found |= {"depth_maps": str(maps), "colours": plan.colours}
         content = "the depth maps"
         if maps in films:
-            content = "magnification M from {:.1f} (blue) to {:.1f} (red), logarithmic".format(
-                *plan.colours or (0, 0)
-            )
+            from ..data.depth_order import describe_scale
+
+            content = describe_scale(plan.colours)
         sentences.append(f"{maps}: {content}.")
     report.finish(found, *sentences, *plan.changes)
     return int(bool(failures))

@@ -39,7 +39,7 @@ class Plan(NamedTuple):
     frames: int  # in all, kept ones included; 0 if it is not known
     kept: int  # whose pictures are there already
     size: Size | None  # columns and rows of the pictures; None if no frame was analysed
-    colours: tuple[float, float] | None  # magnification shown blue, and red, in depth pictures
+    colours: tuple[float, float] | None  # far and near end of depth pictures
     changes: tuple[str, ...]  # sentences about brightness and white balance, if they are changed
 
 

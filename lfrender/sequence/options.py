@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from lfcal.runtime.tone import Exposure, Tone, WhiteBalance
+from lfcal.runtime.tone import Exposure, WhiteBalance
 
-from ..runtime.choices import Preset
+from ..runtime.choices import Preset, Tone
 from ..runtime.types import AnyPath
 from .view_grid import ViewGrid
 
@@ -39,8 +39,8 @@ class FrameOptions:
         Suffix of the format that decides what `"auto"` means for the three above, such as `".mp4"`;
         by default that of the pictures. `render_film` sets it.
     depth_maps : path-like, optional
-        Folder for the depth map of each frame (`FRAME.npz`), or a film of depth pictures:
-        magnification in the colours of `lfrender analyze --picture`, on one scale for all frames.
+        Folder for the depth map of each frame (`FRAME.npz`), or a film of depth pictures in the
+        colours of `lfrender analyze --picture`, on one scale for all frames.
     rate : float, optional
         Pictures per second of a film. None takes the rate of the first video, or else 25.
     segment, group : int

@@ -23,10 +23,11 @@ from lfcal.runtime.errors import check_type
 
 from ..data.depth_file import DepthFileError
 from ..data.depth_map import DepthMap, default_scale
+from ..data.depth_order import depth_limits
 from ..data.rendering import PictureGrid, Rendering
 from ..depth.analyze import analyze
 from ..flat.demosaicing import demosaic
-from ..output.depth_picture import depth_picture, magnification_limits
+from ..output.depth_picture import depth_picture
 from ..output.finish import Finish
 from ..output.formats import EmbeddedMetadata, read_metadata
 from ..output.picture import encoded_by, write_finished, write_picture
@@ -218,7 +219,7 @@ class Run:
         camera = self._camera(flat)
         scale = default_scale(depth) if options.scale is None else options.scale
         gain, balance = self._finish(None).measure_flat(flat, camera)
-        colours = magnification_limits(depth.magnification)
+        colours = depth_limits(depth)
         self.state = RunState(scale, still_depth(depth), colours, gain, balance)
         self.camera = self.folder.save_state(self._settings, self.state, camera)
 
@@ -318,7 +319,8 @@ class Run:
             suffix = ".yuv"
         known = None
         if self.state is not None:
-            known = self.state.gain, self.state.balance
+            red, green, blue = self.state.balance
+            known = self.state.gain, (red, green, blue)
         return Finish(
             f"picture{suffix}",
             exposure=options.exposure,

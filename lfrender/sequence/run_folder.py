@@ -28,7 +28,7 @@ class RunState:
 
     scale: float  # output pixels per pitch
     still: float  # patch size [px] of the places that do not move from view to view
-    colours: tuple[float, float]  # magnification at both ends of the colours of depth pictures
+    colours: tuple[float, float]  # far and near end of the colours of depth pictures
     gain: float  # factor on the light of pictures
     balance: tuple[float, float, float]  # and further factors on red, green and blue
 

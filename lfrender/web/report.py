@@ -14,9 +14,19 @@ from lfcal import Calibration
 from lfcal.runtime.output_file import atomic_write
 from lfcal.runtime.page import to_svg
 
-from ..data.depth_map import BINOCULAR, MODE_COLOURS, MODES, REASONS, TELESCOPIC, DepthMap, finite
+from ..data.depth_map import (
+    BINOCULAR,
+    MODE_COLOURS,
+    MODES,
+    REASONS,
+    TELESCOPIC,
+    DepthMap,
+    finite,
+    magnification_range,
+)
+from ..data.depth_order import depth_limits, name_ends
 from ..data.rendering import PictureGrid
-from ..output.depth_picture import lens_maps, magnification_limits
+from ..output.depth_picture import lens_maps
 from ..output.finish import Finish
 from .calibration_figure import calibration_panels, flat_part
 from .report_pictures import ReportPictures, data_urls, draw_pictures, picture_url, reduce_picture
@@ -24,6 +34,8 @@ from .templates import Markup, fill, read_asset
 
 __all__ = ["write_report"]
 
+# Ends of the scale of M of a depth map without depth.
+_LIMITS_OF_NONE = (1.0, 10.0)
 # Number of bars of the histogram.
 _BINS = 40
 # Largest width of the maps and of the flat [px], twice that of their column on the page; largest
@@ -99,7 +111,7 @@ def write_report(
     names |= {name: name for name in compare or {}}
     height, width = pictures.sharp.image.shape[:2]
     known = finite(depth.magnification)
-    limits = magnification_limits(depth.magnification)
+    limits = _magnification_limits(depth)
     reasons = {
         REASONS[code]: float(np.mean(depth.reason == code))
         for code in np.unique(depth.reason)
@@ -122,7 +134,7 @@ def write_report(
         urls=urls,
         sizes=pictures.patch_size,
         charts=charts,
-        limits=limits,
+        ends=name_ends(depth_limits(depth)),
         histogram=_histogram(depth),
         outliers=int(np.sum((known < limits[0]) | (known > limits[1]))),
         panels=panels,
@@ -156,6 +168,14 @@ def _most_detail(pictures: ReportPictures) -> NDArray[np.float64]:
     return place
 
 
+def _magnification_limits(depth: DepthMap) -> tuple[float, float]:
+    """Ends of a scale of M that holds 98 % of the lenses with a finite one."""
+    known = finite(depth.magnification)
+    if not known.size:
+        return _LIMITS_OF_NONE
+    return magnification_range(known)
+
+
 def _histogram(depth: DepthMap) -> Any:
     """SVG: number of lenses over magnification, telescopic ones above the axis, binocular below.
 
@@ -164,7 +184,7 @@ def _histogram(depth: DepthMap) -> Any:
     """
     from matplotlib.figure import Figure
 
-    low, high = magnification_limits(depth.magnification)
+    low, high = _magnification_limits(depth)
     step = (high / low) ** (1 / _BINS)
     edges = np.geomspace(low / step, high * step, _BINS + 3)
     figure = Figure((9, 2.8), facecolor="none", layout="constrained")

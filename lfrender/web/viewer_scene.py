@@ -14,13 +14,14 @@ from lfcal import Calibration, LightFieldError
 from lfcal.runtime.arrays import MOST
 
 from ..data.depth_map import DepthMap, check_depth, default_scale
+from ..data.depth_order import depth_limits, depth_order, name_ends
 from ..data.surface import edge_step
 from ..detail.blur import averaged_squares, choose_blur, shows_both_modes
 from ..flat.gray_flat import correction_tables, has_uneven_lenses
 from ..flat.lens_graph import lens_displacements, lens_offsets, nearest_lens
 from ..flat.lens_type_weights import WEIGHT_RATIOS, focus_weights
 from ..flat.validation import check_flat
-from ..output.depth_picture import colour_scale, magnification_limits
+from ..output.depth_picture import DEPTH_SCALE, colour_scale
 from ..output.finish import Finish
 from ..rendering.blend.lit_flat import dilate_mask
 from ..rendering.blend.occlusion import project_surface
@@ -193,6 +194,7 @@ def _tables(
     averaged = averaged_squares(calibration, blur, WEIGHT_RATIOS, both)
     virtual = virtual_depth(surface.patch_size, lattice.pitch)
     ends, middle = _planes(depth)
+    limits = depth_limits(depth)
     moved = {
         "shape": displacements.shape[:2],
         "low": low,
@@ -226,8 +228,9 @@ def _tables(
         "plane": middle,
         "reach": {"sharp": REACH, "aside": VIEW_REACH, "wide": REFOCUS_REACH},
         "overlay": {
-            "limits": magnification_limits(depth.magnification),
-            "ramp": _base64(colour_scale("turbo"), np.uint8),
+            "limits": limits,
+            "ends": name_ends(limits),
+            "ramp": _base64(colour_scale(DEPTH_SCALE), np.uint8),
         },
     }
 
@@ -243,7 +246,7 @@ def _planes(depth: DepthMap) -> tuple[list[float], float]:
     resolved |= not resolved.any()
     known = depth.filled_patch_size[resolved].astype(float)
     pitch = depth.pitch
-    near = np.where(known > 0, known, known + 2 * pitch)
+    near = pitch * depth_order(known, pitch)
     low, high = np.percentile(near, MOST, method="nearest")
     order = np.argsort(near)
     near = near[order]
