@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .camera.calibration import Calibration
-from .images.mosaic import check_mosaic, find_mosaic
+from .images.mosaic import balance_mosaic, check_mosaic, find_mosaic
 from .lattice.stated import LatticeHint
 from .runtime.errors import CalibrationError
 from .runtime.image_formats import Mosaic
@@ -144,6 +144,10 @@ def _combine(
     for one in found:
         if mosaic is None and one is not None:
             camera = camera.with_mosaic(one, guessed=True)
+    if camera.source == "white" and camera.mosaic is not None and flats[0].ndim == 2:
+        level = camera.white_level
+        balance = balance_mosaic(flats[0], camera.mosaic, level, camera.encoded)
+        camera = replace(camera, white_balance=balance)
     # Rims of several lens types take seconds to fit: of scenes, those of one type are measured.
     quick = camera.source == "white" or camera.lens_types is None
     if quick and camera.confidence >= SURE_CONFIDENCE:

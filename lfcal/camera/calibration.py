@@ -44,8 +44,10 @@ _PARTS: dict[str, Any] = {
     "lens_blur": LensBlur,
 }
 # Fields that are stored as they are, and fields of the fit, whose NaN is stored as null.
-_VALUES = ("source", "mosaic", "mosaic_guessed", "white_level", "encoded")
+_VALUES = ("source", "mosaic", "mosaic_guessed", "white_level", "encoded", "white_balance")
 _FIT = ("residual_rms", "lenses_used", "confidence")
+# Largest confidence that is stated of a lattice that was found.
+_MOST_CONFIDENCE = 0.999
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -98,6 +100,8 @@ class Calibration(Frozen):
         are linear; None if this follows from their type (8 bits are encoded).
     mosaic_guessed : bool
         True if the colour filters were found on a flat, which does not tell red from blue.
+    white_balance : (float, float, float) or None
+        Gains of red, green and blue that make its white image behind these filters grey.
 
     Examples
     --------
@@ -128,6 +132,7 @@ class Calibration(Frozen):
     lens_blur: LensBlur | None = None
     encoded: bool | None = None
     mosaic_guessed: bool = False
+    white_balance: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
         check_type(self.lattice, Lattice, "lattice", "lfcal.state_lattice makes one of figures")
@@ -143,6 +148,17 @@ class Calibration(Frozen):
     def image_size(self) -> tuple[int, int]:
         """Width and height of the flats this camera makes [px]."""
         return self.lattice.image_size
+
+    @property
+    def confidence_text(self) -> str:
+        """The confidence in percent; at most 99.9 %, because no lattice that is found is certain."""
+        most = self.confidence
+        if self.source not in ("published", "truth"):
+            most = min(most, _MOST_CONFIDENCE)
+        rounded = f"{100 * most:.0f}"
+        if rounded in ("0", "100") and most not in (0.0, 1.0):
+            rounded = f"{100 * most:.1f}"
+        return f"{rounded} %"
 
     def with_mosaic(
         self, mosaic: Mosaic | None, guessed: bool = False, flat: NDArray[Any] | None = None
@@ -168,7 +184,16 @@ class Calibration(Frozen):
             if self.mosaic not in (None, mosaic):
                 warning += f"; another flat of this camera was taken for {self.mosaic}"
             warnings.append(warning)
-        return replace(self, mosaic=mosaic, mosaic_guessed=guessed, warnings=tuple(warnings))
+        balance = self.white_balance
+        if balance is not None and mosaic != self.mosaic:
+            balance = balance[::-1]
+        return replace(
+            self,
+            mosaic=mosaic,
+            mosaic_guessed=guessed,
+            white_balance=balance,
+            warnings=tuple(warnings),
+        )
 
     def with_mosaic_of(self, flat: NDArray[Any]) -> Calibration:
         """The camera with the colour filters found on a flat (h, w), unless it has some."""
@@ -331,7 +356,7 @@ class Calibration(Frozen):
             "usable radius": f"{self.lattice.radius:.2f} px",
             "flat": f"{width} x {height} px, {len(self.lattice)} lenses",
             "lens types": str(count),
-            "measured on": f"{self.source}, confidence {self.confidence:.2f}",
+            "measured on": f"{self.source}, confidence {self.confidence_text}",
         }
         if np.isfinite(self.residual_rms):
             figures["residual"] = f"{self.residual_rms:.3f} px RMS of {self.lenses_used} lenses"

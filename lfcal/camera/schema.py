@@ -24,6 +24,7 @@ _Side = Annotated[int, Meta(ge=1, lt=2**31)]
 # A text that can be printed: surrogates without their partner cannot.
 _Text = Annotated[str, Meta(max_length=1_000_000, pattern=r"^[^\ud800-\udfff]*$")]
 _Point = tuple[_Number, _Number]
+_Gain = Annotated[float, Meta(gt=0, le=1e3)]
 _Table = list[list[_Number]]
 # Figures of the evidence are shares, correlations, logarithms and numbers of deviations.
 _MOST_FIGURE = 1e6
@@ -103,6 +104,7 @@ class _Camera(Struct):
     white_level: Annotated[float, Meta(gt=0, lt=2**53)] | None = None
     encoded: bool | None = None
     mosaic_guessed: bool = False
+    white_balance: tuple[_Gain, _Gain, _Gain] | None = None
     lens_types: _LensTypes | None = None
     gain_map: _GainMap | None = None
     errors: _LatticeErrors | None = None

@@ -88,7 +88,7 @@ def summarise(camera: Calibration) -> list[str]:
     }
     told = sources.get(camera.source, f"From {camera.source}")
     if camera.source != "published":
-        told += f", confidence {100 * camera.confidence:.0f} %"
+        told += f", confidence {camera.confidence_text}"
     if camera.lens_types is not None:
         told += f"; {camera.lens_types.count} types of lenses"
     counts = (

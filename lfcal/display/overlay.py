@@ -150,7 +150,7 @@ def _describe(calibration: Calibration, fit: FitCheck) -> str:
         f"{shape}, rows {rows}, pitch {lattice.pitch:.4f} px, rotation {turned:+.4f} deg, "
         f"usable radius {lattice.radius:.2f} px, {len(lattice)} lenses\n"
         f"{width} x {height} px, {kinds}from {calibration.source}{residual}, "
-        f"confidence {calibration.confidence:.2f}; {off}"
+        f"confidence {calibration.confidence_text}; {off}"
     )
 
 

@@ -12,11 +12,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..runtime.arrays import ENOUGH_PIXELS, evenly
 from ..runtime.errors import FlatError
 from ..runtime.image_formats import MOSAICS, Mosaic
+from ..runtime.tone import balance_of, linear_light
 
-__all__ = ["check_mosaic", "equalise_mosaic", "find_mosaic", "remove_mosaic"]
+__all__ = ["balance_mosaic", "check_mosaic", "equalise_mosaic", "find_mosaic", "remove_mosaic"]
 
+# Share of white from which a pixel may be clipped, least share of the pixels below it, and light of
+# a square over that of the brightest ones from which none of its pixels lies at a rim: with 0.3 the
+# balance of microimages of 20 px is wrong by 3 %.
+_UNCLIPPED = 0.98
+_FEWEST = 0.01
+_LIT = 0.8
 # Blocks darker than this share of the brightest one show no colour.
 _DARK = 0.02
 # Radius about a frequency of the mosaic in which power is that of colours, which change slowly, and
@@ -111,6 +119,29 @@ def find_mosaic(flat: NDArray[Any]) -> Mosaic | None:
     if red_first:
         return "GRBG"
     return "GBRG"
+
+
+def balance_mosaic(
+    white: NDArray[Any], mosaic: Mosaic, level: float | None, encoded: bool | None
+) -> tuple[float, float, float] | None:
+    """Gains of red, green and blue that make a white image (h, w) behind filters grey.
+
+    They are the ratios of the summed light of squares of 2 x 2 pixels that are neither clipped nor
+    at the rims of microimages. `level` is the white level of the sensor; `encoded` as in `is_encoded`.
+    None if nearly everything is clipped.
+    """
+    height, width = (n // 2 * 2 for n in white.shape)
+    squares = white[:height, :width].reshape(height // 2, 2, width // 2, 2)
+    phases = np.moveaxis(squares, (1, 3), (0, 1)).reshape(4, -1)
+    light = linear_light(phases[:, evenly(phases.shape[1], ENOUGH_PIXELS)], level, encoded)
+    unclipped = light.max(0) < _UNCLIPPED
+    if unclipped.mean() < _FEWEST:
+        return None
+    mean = light.mean(0)
+    bright = unclipped & (mean > _LIT * np.quantile(mean[unclipped], 0.95))
+    sums = light[:, bright].mean(1)
+    colours = [sums[[one == colour for one in mosaic]].mean() for colour in "RGB"]
+    return balance_of(np.array(colours))
 
 
 def _peaks(blocks: NDArray[np.float32]) -> list[float]:

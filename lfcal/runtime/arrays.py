@@ -1,4 +1,4 @@
-"""Arrays of results: in frozen records, as text in camera files, in 8 bits on screens."""
+"""Arrays of results: in frozen records, and as text in camera files."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import base64
 import zlib
 from collections.abc import Callable, Hashable
 from dataclasses import fields
-from typing import Any, Literal, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,17 +19,13 @@ __all__ = [
     "NINE_TENTHS",
     "Array",
     "Booleans",
-    "Exposure",
     "Floats",
     "Frozen",
     "Integers",
     "Singles",
-    "brighten",
     "decode_array",
     "encode_array",
-    "exposure_gain",
     "stretch_contrast",
-    "to_eight_bits",
     "white_of",
 ]
 
@@ -44,8 +40,6 @@ NINE_TENTHS = (0.05, 0.5, 0.95)
 MOST = (1, 99)
 # Crops of flats are brightened by this gamma: microimages of dark scenes stay visible.
 _GAMMA = 1.4
-#: Brightness of a picture [EV], or by its content.
-Exposure = float | Literal["auto"]
 Array = NDArray[Any]
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
@@ -137,25 +131,6 @@ def evenly(count: int, most: float) -> slice:
     return slice(None, None, max(1, int(count // most)))
 
 
-def exposure_gain(
-    pixels: NDArray, white: float | None = None, exposure: Exposure = "auto"
-) -> float:
-    """The gain by which a picture is brightened.
-
-    It is `2 ** exposure`; with `"auto"` it follows from the content.
-
-    A dim picture is brightened until 99.5 % of its values lie below 0.9 of white, a thousand times
-    at most. Bright ones, and those of 8 bits, which are made for display, are left as they are.
-    """
-    if exposure != "auto":
-        return float(2**exposure)
-    if pixels.dtype == np.uint8:
-        return 1.0
-    step = max(1, int(np.sqrt(pixels.size / ENOUGH_PIXELS)))
-    bright = float(np.percentile(np.nan_to_num(pixels[::step, ::step]), 99.5)) / 0.9
-    return float(np.clip(white_of(pixels, white) / max(bright, 1e-12), 1, 1000))
-
-
 def stretch_contrast(crop: Array) -> NDArray[np.uint8]:
     """A crop of a flat in 8 bits; its darkest per cent is black, its brightest one white."""
     values = np.nan_to_num(crop.astype(np.float32))
@@ -163,28 +138,3 @@ def stretch_contrast(crop: Array) -> NDArray[np.uint8]:
     scaled = np.clip((values - low) / max(high - low, 1e-6), 0, 1) ** (1 / _GAMMA)
     shown: NDArray[np.uint8] = np.rint(255 * scaled).astype(np.uint8)
     return shown
-
-
-def brighten(pixels: NDArray, gain: float, white: float | None = None) -> NDArray:
-    """Pixels times a gain, in their type: integers up to white, floats also beyond."""
-    if gain == 1:
-        return pixels
-    scaled = pixels * np.float32(gain)
-    if pixels.dtype.kind == "f":
-        return scaled.astype(pixels.dtype, copy=False)
-    return np.rint(np.minimum(scaled, white_of(pixels, white))).astype(pixels.dtype)
-
-
-def to_eight_bits(
-    pixels: NDArray, white: float | None = None, gain: float = 1.0
-) -> NDArray[np.uint8]:
-    """Pixels times a gain as uint8, with white at 255.
-
-    White is that of `white_of`; pixels of 8 bits have it at 255.
-    """
-    eight = pixels.dtype == np.uint8
-    if eight and gain == 1:
-        return pixels
-    share = np.nan_to_num(pixels) * (gain / (255.0 if eight else white_of(pixels, white)))
-    scaled: NDArray[np.uint8] = np.rint(np.clip(share, 0, 1) * 255).astype(np.uint8)
-    return scaled

@@ -17,8 +17,6 @@ from .results import AnalyzeResult
 if TYPE_CHECKING:
     from lfcal import Calibration, Optics
 
-    from ..data.depth_map import DepthMap
-
 __all__ = ["analyze"]
 
 # Suffixes of the forms of depth beside .npz, by the option for each; an output with that of several
@@ -26,6 +24,7 @@ __all__ = ["analyze"]
 _FORMS = {
     "dense": (".tif", ".tiff", ".pfm", ".exr"),
     "picture": (".png",),
+    "uncertainty": (".png",),
     "ply": (".ply", ".pcd"),
     "mesh": (".glb", ".ply"),
 }
@@ -41,7 +40,7 @@ _FORMS = {
     output=("DEPTH.npz", "Depth map to write; or .tif, .png, .ply, .glb: see below.", ".npz"),
     refused={"depth_file": "the depth is what this command finds"},
     own={
-        "Further forms of the depth": "dense unfilled picture ply mesh",
+        "Further forms of the depth": "dense unfilled picture uncertainty ply mesh",
         "Metres": "optics metres",
         "What to analyse": "edges exhaustive",
         "Several processes": "workers scheduler",
@@ -69,7 +68,8 @@ def analyze(capture: CaptureInput, given: Any) -> None:
         if (path := getattr(given, name)) is not None:
             check_output(path, suffixes)
             forms[name] = path
-        if output.suffix.lower() in suffixes and output not in forms.values():
+        own = output.suffix.lower() in suffixes and output not in forms.values()
+        if own and name != "uncertainty":
             at_most_one("--output", output, f"--{name}", path)
             forms[name] = output
     if "dense" in forms:
@@ -114,17 +114,27 @@ def analyze(capture: CaptureInput, given: Any) -> None:
                 distance = dense_distance(grid, optics)
             write_dense(forms["dense"], grid, distance)
         if "picture" in forms:
-            from ..output.depth_picture import depth_picture, magnification_limits
+            from ..data.depth_order import depth_limits, describe_scale, name_ends
+            from ..output.depth_picture import add_legend, depth_picture
             from ..output.picture import write_picture
 
-            low, high = found["colours"] = list(magnification_limits(depth.magnification))
-            write_picture(
-                forms["picture"], depth_picture(depth), settings={"magnification": [low, high]}
+            limits = depth_limits(depth)
+            found["colours"] = list(limits)
+            shown = add_legend(depth_picture(depth), name_ends(limits))
+            write_picture(forms["picture"], shown, settings={"far_near": list(limits)})
+            closing.append(f"{forms['picture']}: {describe_scale(limits)}.")
+        if "uncertainty" in forms:
+            from ..output.depth_picture import ERROR_SCALE, add_legend, uncertainty_picture
+            from ..output.picture import write_picture
+
+            shown, errors = uncertainty_picture(depth)
+            sure, unsure = (f"{error:.2g} px" for error in errors)
+            shown = add_legend(shown, (sure, unsure), ERROR_SCALE)
+            write_picture(forms["uncertainty"], shown, settings={"standard_error": list(errors)})
+            closing.append(
+                f"{forms['uncertainty']}: standard error of the patch size from {sure} (dark) to "
+                f"{unsure} (light), logarithmic; grey: no depth."
             )
-            closing = [
-                f"{forms['picture']}: magnification M from {low:.1f} (blue) to {high:.1f} (red), "
-                f"logarithmic; {_near_and_far(depth)}; grey: unresolved."
-            ]
         if whole and pixels is not None:
             from ..output.point_cloud import mesh, point_cloud, write_mesh, write_points
 
@@ -154,17 +164,3 @@ def _choose_optics(given: Any, calibration: Calibration) -> Optics | None:
             "--metres needs optics: a camera file made by 'lfcal metric', or --optics"
         )
     return optics
-
-
-def _near_and_far(depth: DepthMap) -> str:
-    """Which colours are near: M falls toward the camera where telescopic, else it grows."""
-    from ..data.depth_map import BINOCULAR, RARE_MODE, TELESCOPIC
-
-    ends = {
-        TELESCOPIC: ("blue is near, red is far", " where telescopic"),
-        BINOCULAR: ("red is near, blue is far", " where binocular"),
-    }
-    shown = [told for mode, told in ends.items() if (depth.mode == mode).mean() > RARE_MODE]
-    if len(shown) == 1:
-        return shown[0][0]
-    return ", ".join(map("".join, shown))

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from lfcal import Calibration, Optics
     from lfcal.runtime.arrays import Array
 
@@ -15,7 +12,6 @@ if TYPE_CHECKING:
     from ..data.rendering import Rendering
 
 __all__ = [
-    "PictureFinish",
     "capture_figures",
     "capture_sentences",
     "few_pixels_problem",
@@ -175,54 +171,6 @@ def capture_sentences(
             f"{figures['distance_median']:.3g} m, each to {figures['distance_error']:.2g} m."
         )
     return sentences
-
-
-class PictureFinish:
-    """Brightness and bits of the pictures of a command, as `--exposure` and `--8bit` ask for."""
-
-    def __init__(self, given: Any, path: Path) -> None:
-        from ..output.picture import Brightness, default_exposure
-
-        chosen = given.exposure is not None
-        self._brightness = Brightness(given.exposure if chosen else default_exposure(path))
-        self._path = path
-        self._reduce = given.eight_bits or path.suffix.lower() == ".gif"
-        self._reduced: list[str] = []
-
-    def apply(self, picture: Rendering) -> Rendering:
-        """A picture as it is to be written."""
-        import numpy as np
-
-        from ..output.picture import eight_bits, needs_eight_bits
-
-        picture = self._brightness.apply(picture)
-        dtype = picture.image.dtype
-        if dtype == np.uint8 or not (self._reduce or needs_eight_bits(self._path, picture)):
-            return picture
-        top = 1 if dtype.kind == "f" else picture.white or np.iinfo(dtype).max
-        self._reduced = [
-            f"Written with 8 bits: 0 to {top:g} became 0 to 255 in proportion, "
-            "without a tone curve."
-        ]
-        reduced: Rendering = eight_bits(picture)
-        return reduced
-
-    @property
-    def entries(self) -> dict[str, float]:
-        """Settings to store with the pictures, once one was finished."""
-        return self._brightness.entries
-
-    @property
-    def sentences(self) -> list[str]:
-        """What was done to the pictures."""
-        gain = self._brightness.gain
-        if gain == 1:
-            return self._reduced
-        stops = f"{math.log2(gain):+.1f} EV"
-        return [
-            *self._reduced,
-            f"Brightness times {gain:.3g} ({stops}); --exposure 0 leaves it as it is.",
-        ]
 
 
 def picture_sentence(path: Any, picture: Rendering, what: str, took: str) -> str:

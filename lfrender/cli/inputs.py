@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from ..data.depth_map import DepthMap
     from ..data.rendering import Rendering
     from ..live.recording import Recording
+    from ..output.finish import Finish
     from ..sequence.frames import Frames
 
 __all__ = ["MOVING", "CaptureInput", "is_large", "is_published"]
@@ -128,8 +129,8 @@ class CaptureInput:
         """Sentences about the lenses: number, source of the camera, modes, distances."""
         how = f"with {self.camera}"
         if self.camera is None:
-            sure = figures.percent(calibration.confidence)
-            how = f"found on {self.white or 'the flat itself'} (confidence {sure})"
+            found = self.white or "the flat itself"
+            how = f"found on {found} (confidence {calibration.confidence_text})"
         return figures.capture_sentences(how, calibration, depth, optics)
 
     def raw_layout(self, inputs: Iterable[Path]) -> dict[str, Any]:
@@ -202,8 +203,13 @@ class CaptureInput:
             calibration = self._calibrate_white(self.white, pixels)
         else:
             calibration = self._calibrate_scene(pixels)
-        if calibration.encoded is None and self.flat.suffix.lower() in {*VIDEO_FORMATS, RAW_SUFFIX}:
+        if calibration.encoded is not None:
+            return calibration
+        if self.flat.suffix.lower() in {*VIDEO_FORMATS, RAW_SUFFIX}:
             return replace(calibration, encoded=True)
+        if self.dark is not None:
+            # A dark frame can be subtracted from linear values only.
+            return replace(calibration, encoded=False)
         return calibration
 
     def _calibrate_scene(self, pixels: NDArray[Any]) -> Calibration:
@@ -266,35 +272,51 @@ class CaptureInput:
             )
         return depth
 
+    def finish(self, given: Any, output: Path) -> Finish:
+        """What is done to the pictures of a command before they are written.
+
+        The values `given` are `eight_bits`, `exposure`, `tone` and `white_balance`.
+        """
+        from ..output.finish import Finish
+        from ..output.formats import read_metadata
+        from ..output.picture import encoded_by
+
+        return Finish(
+            output,
+            exposure=given.exposure,
+            tone=given.tone,
+            white_balance=given.white_balance,
+            eight_bits=given.eight_bits,
+            encoded=encoded_by(read_metadata(self.flat)),
+        )
+
     def write(
         self, given: Any, pictures: list[Rendering], settings: list[dict[str, Any]], **options: Any
     ) -> tuple[list[Path], list[str]]:
         """Write a picture, a stack or an animation; return the files and sentences about them.
 
-        The values `given` are those of `output`, `eight_bits` and `exposure`.
+        The values `given` are `output` and those of `finish`.
 
         Animations go there and back again.
         """
         from ..output.formats import read_metadata
-        from ..output.picture import write_picture, write_stack
+        from ..output.picture import write_finished, write_stack
 
         output = given.output
         embedded = read_metadata(self.flat)
-        finish = figures.PictureFinish(given, output)
-        pictures = [finish.apply(picture) for picture in pictures]
-        settings = [{**entries, **finish.entries} for entries in settings]
+        finish = self.finish(given, output)
         written = [output]
         with self.report.stage("write"):
             if output.suffix.lower() in MOVING:
                 from ..sequence.film_file import write_moving
 
-                write_moving(output, [*pictures, *pictures[-2:0:-1]])
+                write_moving(output, [*pictures, *pictures[-2:0:-1]], finish)
             elif len(pictures) > 1:
-                written = write_stack(output, pictures, settings=settings, embedded=embedded)
+                options = {"embedded": embedded, "finish": finish}
+                written = write_stack(output, pictures, settings=settings, **options)
             else:
-                write_picture(
-                    output, pictures[0], settings=settings[0], embedded=embedded, **options
-                )
+                options |= {"settings": settings[0], "embedded": embedded}
+                write_finished(output, pictures[0], finish, **options)
         return written, finish.sentences
 
 

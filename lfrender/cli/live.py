@@ -77,7 +77,10 @@ def live(report: cl.Report, given: Any) -> None:
         exposure=given.exposure,
         correct=capture.subtract_dark,
     )
-    with closing(session), LiveServer(session, source, given.host, given.port) as server:
+    with (
+        closing(session),
+        LiveServer(session, _short_name(source), given.host, given.port) as server,
+    ):
         with report.stage("calibrate"):
             session.start(strict=bool(given.camera or given.white))
         figures: dict[str, Any] = {"page": server.url, "warnings": []}
@@ -88,6 +91,13 @@ def live(report: cl.Report, given: Any) -> None:
             click.launch(server.url)
         with end_by_interrupt():
             server.wait()
+
+
+def _short_name(source: str) -> str:
+    """The name of a file or folder without the way to it; other sources as they are named."""
+    if Path(source).exists():
+        return Path(source).resolve().name
+    return source
 
 
 def find_camera(capture: CaptureInput, shot: Shot) -> Calibration:

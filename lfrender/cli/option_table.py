@@ -9,7 +9,7 @@ import click
 from lfcal.runtime import command_line as cl
 from lfcal.runtime.image_formats import MOSAICS
 
-from ..runtime.choices import Detail, PoseFormat, Preset
+from ..runtime.choices import Detail, PoseFormat, Preset, Tone
 
 __all__ = ["TABLE"]
 
@@ -153,14 +153,27 @@ TABLE = {
     "eight_bits": _row(
         "--8bit eight_bits",
         bool,
-        "Write 8 bits a channel, in proportion: 0 to white become 0 to 255. JPEG and WebP do so "
-        "by themselves.",
+        "Write 8 bits a channel. JPEG and WebP do so by themselves.",
     ),
     "exposure": _row(
         "--exposure",
         cl.ExposureValue(),
-        "Brighten by so many EV, or dim pictures by their content. [default: auto for JPEG, "
-        "WebP, GIF and MP4]",
+        "Brighten by so many EV of light, or dim pictures by their content. [default: auto for "
+        "JPEG, WebP, GIF and films of linear flats]",
+    ),
+    "tone": _row(
+        "--tone",
+        click.Choice(get_args(Tone)),
+        "Write values in proportion to light, or by the curve of sRGB. [default: auto: linear "
+        "flats by that of sRGB as JPEG, WebP, GIF, film and with 8 bits; all others as they are]",
+        default="auto",
+    ),
+    "white_balance": _row(
+        "--white-balance",
+        cl.BalanceValue(),
+        "Gains of red, green and blue. [default: auto: of flats behind colour filters by the white "
+        "image, or else by grey world]",
+        default="auto",
     ),
     "alpha": _row("--alpha", bool, "Make pixels that no lens has seen transparent (not in JPEG)."),
     "compress": _row("--compress", bool, "Write a TIFF in deflated tiles: smaller and slower."),
@@ -197,8 +210,7 @@ TABLE = {
     "depth_maps": _row(
         "--depth-maps",
         cl.OutputPath(),
-        "Also the depth of every frame: FRAME.npz in a folder, or a film of magnifications in "
-        "colours.",
+        "Also the depth of every frame: FRAME.npz in a folder, or a film of depth in colours.",
         "FOLDER|FILM",
     ),
     "fps": _row(
@@ -221,7 +233,15 @@ TABLE = {
         bool,
         "Write NaN to --dense where no lens has a depth, not that of places around.",
     ),
-    "picture": _row("--picture", _OUTPUT, "Magnification M in colours.", "DEPTH.png"),
+    "picture": _row(
+        "--picture", _OUTPUT, "Depth in colours: far is dark, near is light.", "DEPTH.png"
+    ),
+    "uncertainty": _row(
+        "--uncertainty",
+        _OUTPUT,
+        "Standard error of the patch size in colours: sure is dark, unsure is light.",
+        "ERROR.png",
+    ),
     "ply": _row(
         "--ply",
         _OUTPUT,
@@ -337,7 +357,6 @@ TABLE = {
         cl.ExposureValue(),
         "Show frames brighter by so many EV. [default: auto: dim ones by their content, until "
         "the next calibration]",
-        default="auto",
     ),
     "live_preset": _row(
         "--preset", _PRESET, "How much time the depth analysis may take. [default: fast]"

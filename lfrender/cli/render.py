@@ -31,7 +31,7 @@ __all__ = ["render"]
     output=("PICTURE", "Picture to write: .tif, .png, .jpg, ...", ".png"),
     own={
         "What to draw": "patch_size blend traditional scale edges detail",
-        "How to write it": "eight_bits exposure alpha compress tile",
+        "How to write it": "eight_bits exposure tone white_balance alpha compress tile",
         "Several processes": "workers scheduler",
     },
 )
@@ -196,7 +196,13 @@ def _check(capture: CaptureInput, given: Any) -> bool:
         raise click.UsageError(
             "--edges is for flats that are analysed as a whole: leave it out here"
         )
-    for option, value in (("--8bit", given.eight_bits), ("--exposure", given.exposure)):
+    changes = {
+        "--8bit": given.eight_bits,
+        "--exposure": given.exposure,
+        "--tone": given.tone != "auto",
+        "--white-balance": given.white_balance != "auto",
+    }
+    for option, value in changes.items():
         if in_tiles and value:
             raise click.UsageError(
                 f"{option} is for flats that are drawn as a whole: write the pixels as they are"

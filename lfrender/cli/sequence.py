@@ -48,7 +48,7 @@ __all__ = ["batch"]
     own={
         "Files": "depth_maps overwrite",
         "Which frames": "frames start end",
-        "What to draw": "scale frame_format eight_bits exposure fps "
+        "What to draw": "scale frame_format eight_bits exposure tone white_balance fps "
         "frame_views frame_aperture resize",
         "Several processes": "workers scheduler",
     },
@@ -106,11 +106,11 @@ def batch(capture: CaptureInput, given: Any) -> int:
         found |= {"depth_maps": str(maps), "colours": plan.colours}
         content = "the depth maps"
         if maps in films:
-            content = "magnification M from {:.1f} (blue) to {:.1f} (red), logarithmic".format(
-                *plan.colours or (0, 0)
-            )
+            from ..data.depth_order import describe_scale
+
+            content = describe_scale(plan.colours)
         sentences.append(f"{maps}: {content}.")
-    report.finish(found, *sentences)
+    report.finish(found, *sentences, *plan.changes)
     return int(bool(failures))
 
 
@@ -216,6 +216,8 @@ def _frame_options(capture: CaptureInput, given: Any, film: bool) -> FrameOption
         preset=capture.chosen_preset,
         scale=given.scale,
         exposure=given.exposure,
+        tone=given.tone,
+        white_balance=given.white_balance,
         depth_maps=given.depth_maps,
         rate=given.fps,
     )

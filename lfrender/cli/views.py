@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from ..data.depth_map import DepthMap
     from ..data.rendering import Rendering
+    from ..output.finish import Finish
 
 __all__ = ["lenslet", "refocus", "views"]
 
@@ -43,7 +44,10 @@ _GRID = (5, 5)
         "Picture to write: .tif, .jpg, ...; or .gif, .mp4: from far to near and back.",
         ".png",
     ),
-    own={"What to draw": "at patch_sizes stack focus_aperture scale eight_bits exposure"},
+    own={
+        "What to draw": "at patch_sizes stack focus_aperture scale",
+        "How to write it": "eight_bits exposure tone white_balance",
+    },
 )
 def refocus(capture: CaptureInput, given: Any) -> None:
     """Draw FLAT in focus at one depth, out of focus before and behind.
@@ -129,7 +133,8 @@ def _cut(picture: Rendering, capture: CaptureInput, calibration: Calibration) ->
     own={
         "What to draw: a grid of views in "
         "a folder, or one file": "grid stereo animation quilt poses optics",
-        "How to draw it": "view_aperture scale resize grid_format eight_bits exposure",
+        "How to draw it": "view_aperture scale resize",
+        "How to write it": "grid_format eight_bits exposure tone white_balance",
     },
 )
 def views(capture: CaptureInput, given: Any) -> None:
@@ -162,7 +167,7 @@ def views(capture: CaptureInput, given: Any) -> None:
     found: dict[str, Any] = {"views": str(output), "offsets": offsets}
     given.settings = {"rendering": "views", "aperture": given.aperture, "preset": depth.preset}
     one_file = given.animation or given.stereo or given.quilt
-    finish = figures.PictureFinish(given, output if one_file else Path(f"view{given.suffix}"))
+    finish = capture.finish(given, output if one_file else Path(f"view{given.suffix}"))
     stated: list[str] = []
     with report.stage("render and write"), report.progress("views") as step, option_errors():
         if given.poses:
@@ -170,8 +175,9 @@ def views(capture: CaptureInput, given: Any) -> None:
                 given, pixels, calibration, depth, offsets, partial(_counted, step)
             )
         else:
-            drawn = _draw_views(capture, given, finish, pixels, calibration, depth, offsets=offsets)
-            stated = _write_views(capture, given, _counted(step, drawn, len(offsets)))
+            drawn = _draw_views(capture, given, pixels, calibration, depth, offsets=offsets)
+            pictures = _counted(step, drawn, len(offsets))
+            stated = _write_views(capture, given, finish, pictures)
     stated += finish.sentences
     report.finish(
         {**found, **figures.capture_figures(calibration, depth)},
@@ -233,7 +239,6 @@ def _check_views(given: Any, dtype: Any = None) -> None:
 def _draw_views(
     capture: CaptureInput,
     given: Any,
-    finish: figures.PictureFinish,
     *flat_camera_depth: Any,
     offsets: list[Any],
 ) -> Iterator[Rendering]:
@@ -247,15 +252,15 @@ def _draw_views(
     for picture in run(*flat_camera_depth, offsets=offsets, scale=scale):
         if given.resize:
             picture = resize_view(picture, given.resize)
-        picture = finish.apply(_cut(picture, capture, camera))
-        given.settings.update(finish.entries)
-        yield picture
+        yield _cut(picture, capture, camera)
 
 
-def _write_views(capture: CaptureInput, given: Any, pictures: Iterator[Rendering]) -> list[str]:
+def _write_views(
+    capture: CaptureInput, given: Any, finish: Finish, pictures: Iterator[Rendering]
+) -> list[str]:
     """Write the views; return sentences about them."""
     from ..output.formats import read_metadata
-    from ..output.picture import write_picture
+    from ..output.picture import write_finished
     from ..output.raw_video import write_view_videos
     from ..output.views import stereo_pair, write_grid, write_quilt
     from ..sequence.film_file import write_moving
@@ -263,20 +268,22 @@ def _write_views(capture: CaptureInput, given: Any, pictures: Iterator[Rendering
     output = given.output
     options: dict[str, Any] = {"settings": given.settings, "embedded": read_metadata(capture.flat)}
     if given.animation:
-        write_moving(output, pictures)
+        write_moving(output, pictures, finish)
     elif given.quilt:
-        ending = write_quilt(output, pictures, *given.quilt, **options)
+        columns, rows = given.quilt
+        ending = write_quilt(output, pictures, columns, rows, finish, **options)
         if not output.stem.endswith(ending):
             return [
                 "Players take the grid from the name: call it "
                 f"{output.stem}{ending}{output.suffix} for them."
             ]
     elif given.stereo:
-        write_picture(output, stereo_pair(*pictures), **options)
+        write_finished(output, stereo_pair(*pictures), finish, **options)
     elif given.suffix.startswith(".yuv"):
-        write_view_videos(output, pictures, given.suffix[1:])
+        write_view_videos(output, pictures, given.suffix[1:], finish)
     else:
-        write_grid(output, pictures, (given.grid or _GRID)[1], given.suffix, **options)
+        columns = (given.grid or _GRID)[1]
+        write_grid(output, pictures, columns, given.suffix, finish=finish, **options)
     return []
 
 

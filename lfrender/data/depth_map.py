@@ -17,6 +17,7 @@ from lfcal.runtime.page import html_card
 from ..flat.lens_graph import nearest_lens
 from ..runtime.types import AnyPath, Size
 from .depth_file import DepthFileError, check_extent, read_depth, write_depth
+from .depth_order import depth_limits, depth_order, magnification_at
 from .flat_samples import is_same_flat, sample_flat
 from .frame_state import FrameState
 from .rendering import show_on_axes
@@ -264,37 +265,66 @@ class DepthMap(Frozen):
         made: DenseDepth = dense_depth(self, scale, fill)
         return made
 
-    def plot(self, ax: Any = None) -> Any:
-        """Draw the magnification over the scene, by default on the current axes; returns them."""
-        from matplotlib.colors import LogNorm
+    def to_table(self) -> Any:
+        """One row for each lens, as a `pandas.DataFrame`, or a NumPy record array without pandas.
 
+        Columns are `x` and `y` of its centre [px] (NaN if the centres are unknown), `patch_size`
+        and its `standard_error` [px], `magnification`, `mode` and `reason` in words, `confidence`.
+
+        Examples
+        --------
+        >>> import lfrender
+        >>> table = lfrender.data.example()[2].to_table()
+        >>> len(table), str(table["mode"][0])
+        (95, 'telescopic')
+        """
+        centres = self.centres
+        if centres is None:
+            centres = np.full((len(self), 2), np.nan, np.float32)
+        columns = {
+            "x": centres[:, 0],
+            "y": centres[:, 1],
+            "patch_size": self.patch_size,
+            "standard_error": self.standard_error,
+            "magnification": self.magnification,
+            "mode": np.array([MODES[code] for code in self.mode.tolist()]),
+            "reason": np.array(REASONS)[self.reason],
+            "confidence": self.confidence,
+        }
+        try:
+            from pandas import DataFrame
+        except ImportError:
+            types = [(name, column.dtype) for name, column in columns.items()]
+            return np.rec.fromarrays(list(columns.values()), dtype=types)
+        return DataFrame(columns)
+
+    def plot(self, ax: Any = None) -> Any:
+        """Draw depth from far to near over the scene, by default on the current axes; returns them."""
         surface = self.surface.thinned(_PLOTTED)
-        shown, low, high = self.clipped_magnification(surface)
+        shown = depth_order(surface.patch_size, self.pitch)
+        far, near = depth_limits(self)
         lens = self.nearest_lens(shown.shape, surface.first, surface.spacing)
         if lens is not None:
             shown[self.filled[lens]] = np.nan
         first = np.array(surface.first) - surface.spacing / 2
         last = first + surface.spacing * np.array(shown.shape[::-1])
-        look: dict[str, Any] = {"norm": LogNorm(low, high), "cmap": "turbo"}
-        drawn = show_on_axes(
-            ax, shown, first, last, "Magnification", interpolation="nearest", **look
-        )
+        look: dict[str, Any] = {"vmin": far, "vmax": near, "cmap": "viridis"}
+        drawn = show_on_axes(ax, shown, first, last, "Depth", interpolation="nearest", **look)
         drawn.axes.set_facecolor(np.array(MODE_COLOURS[0]) / 255)
-        label = "magnification M (grey: unresolved)"
+        label = "M, from far to near (grey: unresolved)"
         bar = drawn.figure.colorbar(drawn, ax=drawn.axes, label=label)
-        ticks = np.geomspace(low, high, 5)
-        bar.set_ticks(ticks, labels=[f"{tick:.2g}" for tick in ticks])
+        ticks = np.linspace(far, near, 5).tolist()
+        bar.set_ticks(ticks, labels=[f"{magnification_at(tick):.2g}" for tick in ticks])
         bar.minorticks_off()
         return drawn.axes
 
-    def clipped_magnification(self, surface: Surface | None = None) -> tuple[Singles, float, float]:
+    def clipped_magnification(self) -> tuple[Singles, float, float]:
         """(h, w) magnification on the grid of the surface, clipped to a range, and this range.
 
-        98 % of the values lie in the range. `surface` replaces that of the depth map.
+        98 % of the values lie in the range.
         """
         least = _LEAST_PATCH * self.pitch
-        patch_size = (surface or self.surface).patch_size
-        whole = self.pitch / np.maximum(np.abs(patch_size), least)
+        whole = self.pitch / np.maximum(np.abs(self.surface.patch_size), least)
         low, high = magnification_range(whole)
         return np.clip(whole, low, high), low, high
 

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from lfcal import LightFieldError
-from lfcal.runtime.arrays import Array, Booleans, Floats, Frozen, exposure_gain, white_of
+from lfcal.runtime.arrays import Array, Booleans, Floats, Frozen
 from lfcal.runtime.errors import check_type
 from lfcal.runtime.packages import import_package
 from lfcal.runtime.page import html_card
+from lfcal.runtime.tone import exposure_gain, is_encoded, to_eight_bits
 
 from ..runtime.types import AnyPath, Size
 
@@ -231,6 +232,12 @@ class Rendering(Picture, Frozen):
     noise : float, optional [white]
         Standard deviation of the noise of a pixel of the flat in the light of white, if the detail
         was restored.
+    encoded : bool, optional
+        Whether values are encoded for a display, not in proportion to light; by default those of 8
+        bits are.
+    white_balance : (float, float, float), optional
+        Of pictures of a colour filter mosaic: the gains of red, green and blue that make grey grey,
+        as the white image tells; empty without a white image.
 
     Examples
     --------
@@ -252,6 +259,8 @@ class Rendering(Picture, Frozen):
     scale: float
     white: float | None = None
     noise: float | None = None
+    encoded: bool | None = None
+    white_balance: tuple[float, float, float] | tuple[()] | None = None
     _layers = ("image", "valid")
 
     def save(self, path: AnyPath, **options: Any) -> None:
@@ -263,14 +272,15 @@ class Rendering(Picture, Frozen):
     def plot(self, ax: Any = None) -> Any:
         """Draw the picture over scene coordinates, by default on the current axes; returns them.
 
-        Dim pictures of more than 8 bits are shown brighter.
+        Linear pictures are shown by the curve of sRGB, dim ones brighter.
         """
         image = self.image
-        image = image * np.float32(exposure_gain(image, self.white) / white_of(image, self.white))
+        gain = exposure_gain(image, self.white, None, self.encoded)
+        image = to_eight_bits(image, self.white, gain, self.encoded)
         height, width = image.shape[:2]
         corners = self.affine @ [-0.5, -0.5, 1], self.affine @ [width - 0.5, height - 0.5, 1]
-        look: dict[str, Any] = {"cmap": "gray", "vmin": 0, "vmax": 1}
-        shown = np.clip(np.squeeze(image), 0, 1)
+        look: dict[str, Any] = {"cmap": "gray", "vmin": 0, "vmax": 255}
+        shown = np.squeeze(image)
         title = f"{self.scale:.1f} px per pitch"
         return show_on_axes(ax, shown, *corners, title, **look).axes
 
@@ -311,14 +321,20 @@ def finish_picture(
     calibration: Calibration,
 ) -> Rendering:
     """A picture (h, w, C) as a `Rendering` with the type and dimensions of the flat."""
-    if np.ndim(flat) == 2 and image.shape[2] == 1:
+    if np.ndim(flat) == 2 and image.shape[2:] == (1,):
         image = image[:, :, 0]
+    dtype = np.asarray(flat).dtype
+    balance = None
+    if calibration.mosaic is not None and image.shape[2:] == (3,):
+        balance = calibration.white_balance or ()
     return Rendering(
-        convert_to_dtype(image, np.asarray(flat).dtype),
+        convert_to_dtype(image, dtype),
         affine,
         valid,
         scale,
         calibration.white_level,
+        encoded=is_encoded(dtype, calibration.encoded),
+        white_balance=balance,
     )
 
 

@@ -6,10 +6,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import NDArray
 
 from lfcal import Calibration, Lattice
 from lfcal.runtime.kernels import FAST, kernel, square
+from lfcal.runtime.tone import is_encoded
 
 __all__ = [
     "GrayFlat",
@@ -17,7 +18,6 @@ __all__ = [
     "correction_tables",
     "grey_light",
     "has_uneven_lenses",
-    "is_encoded",
     "make_gray_flat",
     "trusted_radius",
     "white_level",
@@ -273,17 +273,10 @@ def _average_light(light: NDArray[np.float32], factor: int) -> NDArray[np.float3
     return np.ascontiguousarray(whole.reshape(height, factor, width, factor).mean((1, 3)))
 
 
-def is_encoded(dtype: DTypeLike, calibration: Calibration) -> bool:
-    """Whether values are about the square root of light: as the camera file tells, else those of 8
-    bits are.
-    """
-    return np.dtype(dtype) == np.uint8 if calibration.encoded is None else calibration.encoded
-
-
 def grey_light(pixels: NDArray, calibration: Calibration) -> NDArray[np.float32]:
     """(...) mean light over the channels of pixels (..., C), with white as one."""
     white = np.float32(white_level(pixels, calibration))
-    encoded = is_encoded(pixels.dtype, calibration)
+    encoded = is_encoded(pixels.dtype, calibration.encoded)
     channels = pixels.shape[-1]
     total = np.zeros(pixels.shape[:-1], np.float32)
     # NumPy takes six times as long for means over an axis as short as that of the channels.

@@ -13,9 +13,10 @@ from lfcal import Calibration, FlatSource
 from lfcal.runtime.arrays import Array, Booleans, Floats, Frozen
 from lfcal.runtime.output_file import claim
 from lfcal.runtime.progress import Progress, show_progress
+from lfcal.runtime.tone import is_encoded
 
 from ..data.depth_map import DepthMap
-from ..data.rendering import Part, Rendering
+from ..data.rendering import Part, finish_picture
 from ..flat.validation import match_exposure
 from ..output.formats import (
     FORMATS,
@@ -169,7 +170,9 @@ def _draw(
     renderer = make_renderer(reader.read, exposed, depth, *drawn_as)
     grid = renderer.grid
     side = _tile_size(renderer, reader, chosen.tile, least)
-    text = describe(grid.affine(), chosen.settings)
+    encoded = is_encoded(source.dtype, calibration.encoded)
+    about = {**(chosen.settings or {}), "tone": "srgb" if encoded else "linear"}
+    text = describe(grid.affine(), about)
     # Tiles of an earlier run are used if all that the picture depends on is the same.
     known = {"tile": side, "scale": grid.scale, "blend": renderer.blend, "settings": text}
     checkpoint = Checkpoint(
@@ -191,7 +194,7 @@ def _draw(
         source.dtype,
         side,
         text,
-        icc=read_metadata(source.path).icc,
+        read_metadata(source.path)._replace(encoded=encoded),
         compress=chosen.compress and direct,
     )
     # Number of valid pixels of each finished tile. A killed run may have left it without the tiles.
@@ -223,7 +226,8 @@ def _draw(
     if direct:
         writer.finish(output)
     else:
-        _encode(writer, checkpoint.folder, output, renderer, chosen, source)
+        drawn_with = (calibration, renderer, chosen, source)
+        _encode(writer, checkpoint.folder, output, *drawn_with)
     checkpoint.remove()
     columns, rows = grid.size
     share = sum(done.values()) / (rows * columns)
@@ -283,6 +287,7 @@ def _encode(
     writer: TileWriter,
     folder: Path,
     output: Path,
+    calibration: Calibration,
     renderer: Renderer,
     options: LargeOptions,
     source: FlatSource,
@@ -298,7 +303,8 @@ def _encode(
     if options.alpha:
         valid = pixels[..., -1] > 0
         pixels = pixels[..., :3] if pixels.shape[2] > 2 else pixels[..., 0]
-    picture = Rendering(pixels, renderer.grid.affine(), valid, renderer.scale)
+    affine = renderer.grid.affine()
+    picture = finish_picture(pixels, valid, affine, renderer.scale, pixels, calibration)
     # Encoded into the hidden folder: if the process is killed, the next run removes the file.
     embedded = read_metadata(source.path)
     write_picture(

@@ -20,7 +20,7 @@ from typing import Any
 from lfcal import Calibration, OutputError
 from lfcal.runtime.image_formats import TIFF_SUFFIXES
 
-from ..output.formats import tiff_tags
+from ..output.formats import EmbeddedMetadata, tiff_tags
 from ..runtime.choices import Preset
 from .sources import Shot
 
@@ -119,8 +119,8 @@ class Recorder:
         }
         if self._about is not None:
             text["recording"] = self._about
-        self._file.write(
-            shot.pixels, contiguous=False, **tiff_tags(shot.pixels.shape, json.dumps(text), b"")
-        )
+        known = EmbeddedMetadata(encoded=shot.encoded)
+        tags = tiff_tags(shot.pixels.shape, json.dumps(text), known)
+        self._file.write(shot.pixels, contiguous=False, **tags)
         self._about = None
         self.frames += 1

@@ -20,13 +20,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Calibration, LightFieldError, OutputError, assess
-from lfcal.runtime.arrays import Exposure, exposure_gain, to_eight_bits, white_of
+from lfcal.runtime.arrays import white_of
+from lfcal.runtime.tone import Exposure
 
 from ..data.depth_map import DepthMap, default_scale
 from ..data.rendering import Rendering
 from ..depth.analyze import analyze
 from ..flat.demosaicing import demosaic
 from ..output.depth_picture import depth_picture
+from ..output.finish import Finish
 from ..rendering.refocus import refocus
 from ..rendering.render import render
 from ..rendering.traditional import find_depth_problem, traditional
@@ -52,6 +54,8 @@ _CHAIN = 30
 # Rows and columns of a frame from which its histogram is made, and levels of it.
 _SAMPLES = 500
 _LEVELS = 32
+# Format whose brightness and tone are those of the page.
+_SHOWN = "frame.jpg"
 # Of the JPEG files that pages get.
 _QUALITY = 90
 # [s] The thread looks so often whether it is to end.
@@ -74,7 +78,7 @@ class View:
     camera: Calibration | None = None
     depth: DepthMap | None = None
     sharp: Rendering | None = None
-    gain: float = 1.0  # of what is shown
+    finish: Finish = field(default_factory=lambda: Finish(_SHOWN))  # of what is shown
     jpegs: dict[Any, bytes] = field(default_factory=dict)
 
     @cached_property
@@ -116,7 +120,7 @@ class View:
     def draw(self, kind: str, at: Place = (0.5, 0.5)) -> NDArray[Any]:
         """The picture with 8 bits; `at` is the place in focus, as shares of width and height."""
         if self.camera is None or kind == "raw":
-            return self.show(self.shot.pixels, self.white)
+            return self._show_raw()
         if kind == "traditional":
             picture = traditional(self.flat, self.camera)
         elif kind == "depth":
@@ -131,11 +135,16 @@ class View:
         else:
             assert self.sharp is not None
             picture = self.sharp
-        return self.show(picture.image, picture.white)
+        return self.finish.apply(picture).image
 
-    def show(self, pixels: NDArray[Any], white: float | None) -> NDArray[np.uint8]:
-        """Pixels with 8 bits, brighter by the gain."""
-        return to_eight_bits(pixels, white, self.gain)
+    def _show_raw(self) -> NDArray[Any]:
+        encoded = self.shot.encoded
+        if encoded is None and self.camera is not None:
+            encoded = self.camera.encoded
+        pixels = self.shot.pixels
+        whole = np.ones((1, 1), bool)
+        raw = Rendering(pixels, np.eye(2, 3), whole, 1.0, self.white, encoded=encoded)
+        return self.finish.apply(raw).image
 
     def jpeg(self, kind: str, at: Place = (0.5, 0.5)) -> bytes:
         """The same as a JPEG file; drawn once for all who ask."""
@@ -176,9 +185,10 @@ class Session:
 
     Only what somebody looks at is analysed; frames are recorded without that.
     `find_camera` gives the camera of a frame, measured on it unless it is `given`; where it fails,
-    the raw frames are shown and it is tried again. Dim frames are shown brighter, by one gain until
-    the next calibration (`exposure`). Recordings and snapshots go into `folder`, with the pixels of
-    the source; `correct` gives those that are analysed and drawn, such as less a dark frame.
+    the raw frames are shown and it is tried again. Dim linear frames are shown brighter, by one gain
+    until the next calibration, or all by so many EV (`exposure`). Recordings and snapshots go into
+    `folder`, with the pixels of the source; `correct` gives those that are analysed and drawn, such
+    as less a dark frame.
     """
 
     def __init__(
@@ -188,7 +198,7 @@ class Session:
         preset: Preset,
         folder: Path,
         given: bool = False,
-        exposure: Exposure = "auto",
+        exposure: Exposure | None = None,
         correct: Callable[[NDArray[Any]], NDArray[Any]] = np.asarray,
     ) -> None:
         self.grabber, self.preset, self.folder = grabber, preset, folder
@@ -197,7 +207,8 @@ class Session:
         self.shot: Shot | None = None  # the newest one, whether it was analysed or not
         self.latency, self.still, self.message, self.saved = 0.0, 0.0, "", ""
         self.scale: float | None = None
-        self._exposure, self._gain = exposure, 1.0
+        self._exposure = exposure
+        self._finish = Finish(_SHOWN, exposure=exposure)
         self._correct = correct
         self.findings: list[str] = []  # how the array is mounted
         self._find_camera, self._given, self._tried = find_camera, given, 0.0
@@ -324,7 +335,7 @@ class Session:
             self.shot = shot = self.grabber.take(_PATIENCE) or self.shot
             if shot is None or self._is_drawn(shot):
                 continue
-            view = View(shot, shot.pixels, gain=self._gain)
+            view = View(shot, shot.pixels, finish=self._finish)
             try:
                 self.message = self._analyze(view)
             # An error of one frame, such as its size, is shown, and the next frame is tried.
@@ -346,8 +357,11 @@ class Session:
             self.camera = camera = Calibration.from_dict(self._find_camera(shot).to_dict())
         finally:
             self._tried = time.monotonic()
-        white = shot.white or camera.white_level
-        self._gain = exposure_gain(shot.pixels, white, self._exposure)
+        self._finish = Finish(_SHOWN, exposure=self._exposure)
+        known = camera
+        if shot.white is not None:
+            known = replace(camera, white_level=shot.white)
+        self._finish.measure_flat(_in_colour(shot, known), known)
         # A camera that is given tells nothing but the rotation: this frame need not be its white
         # image.
         if self._given:

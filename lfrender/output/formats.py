@@ -21,6 +21,7 @@ import numpy as np
 
 from lfcal import LightFieldError, OutputError
 from lfcal.runtime.arrays import Array, Floats
+from lfcal.runtime.colour_profile import colour_profile
 from lfcal.runtime.output_file import check_output
 from lfcal.runtime.packages import check_package
 
@@ -53,6 +54,11 @@ _SIZE_TAGS = ("ImageWidth", "ImageLength", "ExifImageWidth", "ExifImageHeight")
 QUALITY = 95
 # Signature and first chunk (IHDR) of a PNG file [bytes]; other chunks stand behind them.
 _PNG_HEAD = 33
+# Exponent of light times 100,000, in the chunk gAMA of linear pictures and of those of sRGB, and
+# how the chunk sRGB says that pictures are to be printed.
+_LINEAR_GAMMA = 100_000
+_SRGB_GAMMA = 45_455
+_PERCEPTUAL = b"\0"
 # Bytes of pixels that plain TIFF holds: it counts with 32 bits, and needs room for its tags.
 _TIFF_BYTES = 2**32 - 2**25
 # Largest sides of the chunks of OME-Zarr: all channels, one plane of a volume, 512 x 512 pixels.
@@ -79,6 +85,14 @@ class EmbeddedMetadata(NamedTuple):
 
     icc: bytes = b""
     exif: bytes = b""
+    # Whether values are encoded by the curve of sRGB, for files without a profile; None if unknown.
+    encoded: bool | None = None
+
+    def profile(self, channels: int) -> bytes:
+        """The profile of pictures of so many channels; empty where nothing is known."""
+        if self.icc or self.encoded is None:
+            return self.icc
+        return colour_profile(channels, self.encoded)
 
 
 def read_metadata(path: AnyPath) -> EmbeddedMetadata:
@@ -134,6 +148,7 @@ class PictureFormat:
     film: tuple[str, dict[str, str]] | None = (
         None  # encoder of FFmpeg and its options, if it is a film
     )
+    display: bool = False  # whether values are always those of a display, encoded by sRGB
     package: str = ""  # that is needed
 
     def reduces(self, pixel_type: str) -> bool:
@@ -203,7 +218,9 @@ def _affine(text: str) -> Floats:
     return np.array(json.loads(text).get("affine", [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), np.float64)
 
 
-def tiff_tags(shape: tuple[int, ...], text: str, icc: bytes, ome: bool = False) -> dict[str, Any]:
+def tiff_tags(
+    shape: tuple[int, ...], text: str, embedded: EmbeddedMetadata, ome: bool = False
+) -> dict[str, Any]:
     """Options of tifffile for a picture of this shape, with alpha where it has 2 or 4 channels."""
     channels = (*shape, 1)[2]
     about = None
@@ -218,7 +235,7 @@ def tiff_tags(shape: tuple[int, ...], text: str, icc: bytes, ome: bool = False) 
         "description": None if ome else text,
         "software": "lfrender",
         "metadata": about,
-        "iccprofile": icc or None,
+        "iccprofile": embedded.profile(channels) or None,
     }
 
 
@@ -244,7 +261,7 @@ def _write_tiff(path: Path, pages: list[Page], embedded: EmbeddedMetadata, compr
                 tiles = tiff_tiles(pixels.dtype)
             tiff.write(
                 np.ascontiguousarray(pixels),
-                **tiff_tags(pixels.shape, text, embedded.icc, ome),
+                **tiff_tags(pixels.shape, text, embedded, ome),
                 **tiles,
             )
 
@@ -284,6 +301,12 @@ def _write_png(path: Path, pages: list[Page], embedded: EmbeddedMetadata, _compr
     if embedded.icc:
         profile = b"ICC profile\0\0" + zlib.compress(embedded.icc)
         written.append(_png_chunk(b"iCCP", profile))
+    elif embedded.encoded is not None:
+        gamma = _LINEAR_GAMMA
+        if embedded.encoded:
+            gamma = _SRGB_GAMMA
+            written.append(_png_chunk(b"sRGB", _PERCEPTUAL))
+        written.append(_png_chunk(b"gAMA", struct.pack(">I", gamma)))
     written.append(_png_chunk(b"tEXt", b"Description\0" + text.encode("ascii")))
     if embedded.exif:
         written.append(_png_chunk(b"eXIf", embedded.exif.removeprefix(b"Exif\0\0")))
@@ -302,8 +325,9 @@ def _write_small(
 
     ((pixels, text),) = pages
     more: dict[str, Any] = {}
-    if embedded.icc:
-        more["icc_profile"] = embedded.icc
+    # Without a profile, programs take JPEG and WebP for sRGB.
+    if embedded.icc or embedded.encoded is False:
+        more["icc_profile"] = embedded.profile((*pixels.shape, 1)[2])
     if embedded.exif:
         more["exif"] = embedded.exif
     if path.suffix.lower() != ".webp":
@@ -378,23 +402,27 @@ def write_ome_zarr(
 _WHOLE = ("uint8", "uint16")
 _ALL = ("uint8", "uint16", "float32")
 _TIFF = PictureFormat(_ALL, _write_tiff, stack=True, tiles=True)
-_JPEG = PictureFormat(("uint8",), _write_small, alpha=False)
+_JPEG = PictureFormat(("uint8",), _write_small, alpha=False, display=True)
 
 
 def _film(
-    pixel_types: tuple[str, ...], encoder: str, options: dict[str, str] | None = None
+    pixel_types: tuple[str, ...],
+    encoder: str,
+    options: dict[str, str] | None = None,
+    display: bool = True,
 ) -> PictureFormat:
-    return PictureFormat(pixel_types, film=(encoder, options or {}), package="av")
+    film = (encoder, options or {})
+    return PictureFormat(pixel_types, film=film, display=display, package="av")
 
 
 #: The formats by the suffix of their files.
 FORMATS = {
     ".exr": PictureFormat(("float32",), _write_exr, package="OpenEXR"),
-    ".gif": PictureFormat(_WHOLE, animation="GIF"),
+    ".gif": PictureFormat(("uint8",), animation="GIF", display=True),
     ".jpeg": _JPEG,
     ".jpg": _JPEG,
     # FFV1 loses nothing; every picture stands for itself and has a checksum.
-    ".mkv": _film(_WHOLE, "ffv1", {"level": "3", "g": "1", "slicecrc": "1"}),
+    ".mkv": _film(_WHOLE, "ffv1", {"level": "3", "g": "1", "slicecrc": "1"}, False),
     # ProRes 422 HQ, which programs for cutting films take.
     ".mov": _film(_WHOLE, "prores_ks", {"profile": "3", "vendor": "apl0"}),
     # H.264 plays everywhere. The eye sees no difference at this rate factor (crf), and hardly any
@@ -403,7 +431,7 @@ FORMATS = {
     ".png": PictureFormat(_WHOLE, _write_png, animation="PNG"),
     ".tif": _TIFF,
     ".tiff": _TIFF,
-    ".webp": PictureFormat(("uint8",), _write_small, animation="WEBP"),
+    ".webp": PictureFormat(("uint8",), _write_small, animation="WEBP", display=True),
     # Raw planes, by default 4:2:0 of 10 bits, as coders of video take them.
     ".yuv": _film(_WHOLE, "rawvideo"),
     ".zarr": PictureFormat(_ALL, _write_zarr_picture, folder=True, tiles=True, package="zarr"),

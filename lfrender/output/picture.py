@@ -6,37 +6,29 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from lfcal.runtime.arrays import (
-    Array,
-    Booleans,
-    Exposure,
-    Floats,
-    brighten,
-    exposure_gain,
-    to_eight_bits,
-    white_of,
-)
+from lfcal.runtime.arrays import Array, Booleans, Floats, white_of
+from lfcal.runtime.colour_profile import is_linear_profile
 from lfcal.runtime.errors import check_type
 from lfcal.runtime.output_file import atomic_write, refuse_leftovers
+from lfcal.runtime.tone import Exposure, WhiteBalance
 
 from ..data.rendering import Rendering
+from ..runtime.choices import Tone
 from ..runtime.types import AnyPath
+from .finish import Finish
 from .formats import FORMATS, EmbeddedMetadata, Page, PictureError, check_format
 
 __all__ = [
-    "Brightness",
     "PictureError",
-    "default_exposure",
     "describe",
-    "eight_bits",
-    "needs_eight_bits",
+    "encoded_by",
     "with_alpha",
+    "write_finished",
     "write_picture",
     "write_stack",
 ]
@@ -53,6 +45,8 @@ def write_picture(
     embedded: EmbeddedMetadata = _NO_METADATA,
     compress: bool = False,
     exposure: Exposure | None = None,
+    tone: Tone = "auto",
+    white_balance: WhiteBalance = "auto",
 ) -> None:
     """Write a rendering, or plain pixels, as TIFF, PNG, JPEG, WebP, OpenEXR or OME-Zarr.
 
@@ -67,9 +61,8 @@ def write_picture(
     path : path-like
         The suffix chooses the format; `.ome.tif` is a TIFF with OME metadata.
     picture : Rendering or (h, w) or (h, w, 3) uint8, uint16 or float32
-        Colours in the order red, green, blue. What a format cannot hold is written with 8 bits, in
-        proportion: float32 into all but TIFF, OpenEXR and Zarr, uint16 into JPEG and WebP; see
-        `eight_bits`.
+        Colours in the order red, green, blue. What a format cannot hold is written with 8 bits:
+        float32 into all but TIFF, OpenEXR and Zarr, uint16 into JPEG and WebP.
     alpha : bool
         Make pixels that no lens has seen transparent (not in JPEG); they are 0 in any case.
     settings : mapping, optional
@@ -81,9 +74,16 @@ def write_picture(
         Write a TIFF in deflated tiles instead of plain rows: smaller, and slower to write. Above 4
         GB it is a BigTIFF.
     exposure : float or "auto", optional [EV]
-        Brighten a rendering by one gain, which the JSON text names; `"auto"` does so to a dim one
-        of more than 8 bits, by its brightest places. The default is `"auto"` for JPEG and WebP,
-        which are made to be looked at, and none for all others.
+        Brighten a rendering by one gain on its light, which the JSON text names; `"auto"` does so
+        to a dim one by its brightest places. The default is `"auto"` for linear pictures as JPEG
+        and WebP, which are made to be looked at, and none for all others.
+    tone : {"auto", "linear", "srgb"}
+        Whether values are in proportion to light, or encoded by the curve of sRGB. `"auto"` encodes
+        linear pictures (of more than 8 bits, where the camera does not tell otherwise) as JPEG and
+        WebP and where they get 8 bits, and keeps all others as they are. PNG and TIFF say which.
+    white_balance : {"auto", "none"} or (float, float, float)
+        Gains on the light of red, green and blue. `"auto"` changes renderings from a colour filter
+        mosaic alone: by the white image of the camera, or else until they are grey on the average.
 
     Examples
     --------
@@ -93,8 +93,30 @@ def write_picture(
     ...     lfcal.read_flat(f"{folder}/grey.png").shape
     (20, 30)
     """
-    brightness = Brightness(default_exposure(path) if exposure is None else exposure)
-    _write(Path(path), [_page(path, picture, settings, brightness, alpha)], embedded, compress)
+    finish = Finish(
+        path,
+        exposure=exposure,
+        tone=tone,
+        white_balance=white_balance,
+        encoded=encoded_by(embedded),
+    )
+    write_finished(
+        path, picture, finish, alpha=alpha, settings=settings, embedded=embedded, compress=compress
+    )
+
+
+def write_finished(
+    path: AnyPath,
+    picture: Any,
+    finish: Finish,
+    *,
+    alpha: bool = False,
+    settings: Mapping[str, Any] | None = None,
+    embedded: EmbeddedMetadata = _NO_METADATA,
+    compress: bool = False,
+) -> None:
+    """Write a picture after `finish`, which several pictures may share; else as `write_picture`."""
+    _write(Path(path), [_page(path, picture, settings, finish, alpha)], embedded, compress)
 
 
 def write_stack(
@@ -103,10 +125,12 @@ def write_stack(
     *,
     settings: Sequence[Mapping[str, Any]] | None = None,
     embedded: EmbeddedMetadata = _NO_METADATA,
+    finish: Finish | None = None,
 ) -> list[Path]:
     """Write pictures as pages of one TIFF, in other formats as files `NAME_01.png`, ...
 
-    `settings` are further entries for the JSON text of each; the rest is as for `write_picture`.
+    `settings` are further entries for the JSON text of each; `finish` is what is done to all, by
+    default as `write_picture` does; the rest is as there.
     OutputError if numbered files of a longer stack are there already.
 
     Examples
@@ -124,9 +148,9 @@ def write_stack(
         raise PictureError(f"{path}: a stack needs at least one picture")
     target = Path(path)
     digits = max(2, len(str(len(pictures))))
-    brightness = Brightness(default_exposure(target))
+    finish = finish or Finish(target, encoded=encoded_by(embedded))
     several = zip(pictures, settings or [{}] * len(pictures), strict=True)
-    pages = [_page(target, picture, entries, brightness) for picture, entries in several]
+    pages = [_page(target, picture, entries, finish) for picture, entries in several]
     if FORMATS[target.suffix.lower()].stack:
         _write(target, pages, embedded)
         return [target]
@@ -136,57 +160,6 @@ def write_stack(
     for one, page in zip(paths, pages, strict=True):
         _write(one, [page], embedded)
     return paths
-
-
-def needs_eight_bits(path: AnyPath, picture: Any) -> bool:
-    """Whether the format of `path` holds 8 bits a channel, but not the pixels of a picture."""
-    kind = FORMATS.get(Path(path).suffix.lower())
-    return kind is not None and kind.reduces(
-        np.asarray(getattr(picture, "image", picture)).dtype.name
-    )
-
-
-def eight_bits(picture: Any) -> Any:
-    """A rendering, or plain pixels, with 8 bits per channel, without a tone curve.
-
-    0 to white become 0 to 255.
-
-    White is that of the rendering, else the largest value of the type, and 1 of floats.
-    """
-    if not isinstance(picture, Rendering):
-        return to_eight_bits(np.asarray(picture))
-    return replace(picture, image=to_eight_bits(picture.image, picture.white), white=None)
-
-
-class Brightness:
-    """One gain for all pictures of a result, found on the first one.
-
-    `exposure` is in EV, `"auto"`, or None for no gain.
-    """
-
-    def __init__(self, exposure: Exposure | None = None, gain: float = 1.0) -> None:
-        self._exposure, self.gain = exposure, gain
-
-    def apply(self, picture: Rendering) -> Rendering:
-        """A picture with the gain, in its type."""
-        if self._exposure is not None:
-            self.gain = exposure_gain(picture.image, picture.white, self._exposure)
-            self._exposure = None
-        return replace(picture, image=brighten(picture.image, self.gain, picture.white))
-
-    @property
-    def entries(self) -> dict[str, float]:
-        """What a file says of it."""
-        if self.gain == 1:
-            return {}
-        return {"exposure_gain": self.gain}
-
-
-def default_exposure(path: AnyPath) -> Exposure | None:
-    """`"auto"` for formats that are made to be looked at, None (no gain) for all others."""
-    if Path(path).suffix.lower() in (".jpg", ".jpeg", ".webp", ".gif", ".mp4"):
-        return "auto"
-    return None
 
 
 def describe(affine: Floats | None, settings: Mapping[str, Any] | None) -> str:
@@ -203,33 +176,54 @@ def with_alpha(pixels: Array, valid: Booleans) -> Array:
     return np.dstack([pixels, opaque * np.broadcast_to(valid, pixels.shape[:2])])
 
 
+def encoded_by(embedded: EmbeddedMetadata) -> bool | None:
+    """Whether a profile says that values are encoded; None without a profile."""
+    if not embedded.icc:
+        return None
+    return not is_linear_profile(embedded.icc)
+
+
+class _Described(NamedTuple):
+    """A page, and what its values are."""
+
+    page: Page
+    changed: bool  # whether they are no longer those that the profile of the flat describes
+    encoded: bool | None  # None for plain pixels, of which nothing is known
+
+
 def _page(
     path: AnyPath,
     picture: Any,
     settings: Mapping[str, Any] | None,
-    brightness: Brightness,
+    finish: Finish,
     alpha: bool = False,
-) -> Page:
+) -> _Described:
     """Pixels and JSON text of a picture, if the format of `path` can hold them."""
+    shown = finish.apply(picture)
+    changed = False
     if isinstance(picture, Rendering):
-        picture = brightness.apply(picture)
-        settings = {**(settings or {}), **brightness.entries}
-    if needs_eight_bits(path, picture):
-        picture = eight_bits(picture)
-    pixels = np.asarray(getattr(picture, "image", picture))
+        changed = finish.changes_curve
+        settings = {**(settings or {}), **finish.entries}
+    pixels = np.asarray(getattr(shown, "image", shown))
     if pixels.shape[2:] not in ((), (3,)) or pixels.ndim < 2 or not pixels.size:
         raise PictureError(f"{path}: a picture has shape (h, w) or (h, w, 3), got {pixels.shape}")
     check_format(path, "picture", dtype=pixels.dtype, alpha=alpha)
     if alpha:
         pixels = with_alpha(pixels, np.asarray(getattr(picture, "valid", True)))
-    return pixels, describe(getattr(picture, "affine", None), settings)
+    text = describe(getattr(picture, "affine", None), settings)
+    return _Described((pixels, text), changed, getattr(shown, "encoded", None))
 
 
 def _write(
-    path: Path, pages: list[Page], embedded: EmbeddedMetadata, compress: bool = False
+    path: Path, described: list[_Described], embedded: EmbeddedMetadata, compress: bool = False
 ) -> None:
     kind = FORMATS[path.suffix.lower()]
     assert kind.picture is not None
+    first = described[0]
+    embedded = embedded._replace(encoded=first.encoded)
+    if first.changed:
+        embedded = embedded._replace(icc=b"")
+    pages = [one.page for one in described]
     # Folders are moved into place by their writer.
     with nullcontext(path) if kind.folder else atomic_write(path) as temporary:
         kind.picture(temporary, pages, embedded, compress)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from lfcal import Calibration, LightFieldError, Optics, OutputError
-from lfcal.runtime.arrays import Array, Floats, to_eight_bits
+from lfcal.runtime.arrays import Array, Floats
 from lfcal.runtime.errors import check_type
 from lfcal.runtime.output_file import atomic_write, check_output
 from lfcal.runtime.packages import check_package
@@ -19,6 +19,7 @@ from ..data.rendering import scene_points
 from ..data.surface import edge_step
 from ..rendering.render import render
 from ..runtime.types import AnyPath
+from .finish import to_display
 
 __all__ = [
     "CLOUD_SUFFIXES",
@@ -86,7 +87,7 @@ def point_cloud(
     known = picture.valid & np.isfinite(places).all(-1)
     points = np.empty(known.sum(), _POINT)
     points["x"], points["y"], points["z"] = places[known].T
-    colours = to_eight_bits(picture.image, picture.white)[known].reshape(len(points), -1)
+    colours = to_display(picture)[known].reshape(len(points), -1)
     points["red"], points["green"], points["blue"] = np.broadcast_to(colours, (len(points), 3)).T
     return points
 
@@ -138,7 +139,7 @@ def mesh(
     same = np.ptp(dense.patch_size.ravel()[triangles], axis=1) < edge_step(depth.pitch)
     used, faces = np.unique(triangles[same & known[triangles].all(1)], return_inverse=True)
     # Textures begin at the bottom left.
-    texture = Image.fromarray(to_eight_bits(picture.image, picture.white)).convert("RGB")
+    texture = Image.fromarray(to_display(picture)).convert("RGB")
     place = (pixels.reshape(-1, 2)[used] + 0.5) / (width, height) * (1, -1) + (0, 1)
     material = PBRMaterial(
         baseColorTexture=texture, metallicFactor=0.0, roughnessFactor=1.0, doubleSided=True

@@ -17,14 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Calibration, Optics, OutputError
-from lfcal.runtime.arrays import Array, Booleans, Floats, Singles, to_eight_bits
+from lfcal.runtime.arrays import Array, Booleans, Floats, Singles
 from lfcal.runtime.output_file import atomic_write, make_folder, refuse_leftovers
 
 from ..data.depth_map import DepthMap
 from ..data.rendering import Rendering, scene_points
 from ..runtime.choices import PoseFormat
 from ..runtime.types import AnyPath
-from .picture import write_picture
+from .finish import Finish, to_display
+from .picture import write_finished, write_picture
 from .poses import ViewCamera, ViewRig, view_rig
 from .raw_video import check_raw_format, frame_bytes, yuv_frame
 
@@ -140,11 +141,9 @@ def _write_files(folder: Path, views: list[_Posed], mask: str) -> float:
     exact = ".exr"
     if find_spec("OpenEXR") is None:
         exact = ".tif"
+    finish = Finish("picture.png")
     for name, picture, depth, _, known, _ in views:
-        shown = picture.image
-        if shown.dtype.kind != "u":
-            shown = to_eight_bits(shown, picture.white)
-        write_picture(images / f"{name}.png", shown)
+        write_finished(images / f"{name}.png", picture, finish)
         write_picture(masks / mask.format(name), picture.valid.astype(np.uint8) * np.uint8(255))
         whole = np.rint(np.minimum(np.where(known, depth / step, 0), 65535)).astype(np.uint16)
         write_picture(distances / f"{name}.png", whole)
@@ -296,7 +295,7 @@ def _tracks(views: list[_Posed]) -> tuple[Floats, NDArray[np.uint8], Floats]:
         same = np.abs(1 / view.depth[row, column] - 1 / distance) * reach < 0.5
         shown = inside[same & view.known[row, column]]
         found[shown] = at[shown]
-    image = to_eight_bits(middle.picture.image, middle.picture.white)
+    image = to_display(middle.picture)
     colours = np.broadcast_to(image[v, u].reshape(len(u), -1), (len(u), 3))
     several = np.isfinite(pixels[..., 0]).sum(0) > 1
     return points[several], colours[several], pixels[:, several]
@@ -306,8 +305,9 @@ def _write_rvs(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
     """`cameras.json`: axes x forward, y left, z up; depth as disparity of 16 bits."""
     cameras: list[dict[str, Any]] = []
     written: list[str] = []
+    finish = Finish("picture.yuv")
     for number, (_, picture, depth, camera, known, centre) in enumerate(views):
-        texture = yuv_frame(picture.image, "yuv420p10", picture.white)
+        texture = yuv_frame(finish.apply(picture).image, "yuv420p10")
         width, height, (x, y, z) = texture.width, texture.height, camera.position.tolist()
         near, far = (1.0, 2.0)
         if known.any():

@@ -13,17 +13,15 @@ from typing import Any
 
 import numpy as np
 
-from lfcal.runtime.arrays import Array, white_of
+from lfcal.runtime.arrays import Array
 from lfcal.runtime.output_file import atomic_write, make_folder, refuse_leftovers
 from lfcal.runtime.video import convert_frame, parse_pixel_format
 
 from ..runtime.types import AnyPath
+from .finish import FILM_WHITE, Finish
 from .formats import FORMATS, PictureError, check_format_package
 
 __all__ = ["check_raw_format", "frame_bytes", "view_name", "write_view_videos", "yuv_frame"]
-
-# White of 16 bits in FFmpeg, which counts them as 8 bits times 256, both ways.
-_WHITE = 0xFF00
 
 
 def check_raw_format(folder: AnyPath, pixel_format: str) -> str:
@@ -46,14 +44,13 @@ def view_name(number: int, width: int, height: int) -> str:
     return f"v{number:03d}-{width}x{height}.yuv"
 
 
-def yuv_frame(pixels: Array, pixel_format: str, white: float | None = None, **colours: Any) -> Any:
+def yuv_frame(pixels: Array, pixel_format: str, **colours: Any) -> Any:
     """A frame of PyAV, by default BT.601 of limited range, as FFmpeg reads raw video.
 
     `colours` are further arguments of `convert_frame`.
 
-    `pixels` are (h, w) or (h, w, 3), uint8, uint16 or float; `white` is the white level of
-    integers, if it is less than the largest value of the type. A last column or row without a
-    partner is left out where the format shares colours.
+    `pixels` are (h, w) or (h, w, 3), uint8, uint16 or float, as `Finish` makes them. A last column
+    or row without a partner is left out where the format shares colours.
     """
     from av import VideoFrame
 
@@ -64,11 +61,9 @@ def yuv_frame(pixels: Array, pixel_format: str, white: float | None = None, **co
     if subsampling in ("420", "422"):
         width = max(width - width % 2, 1)
     pixels = pixels[:height, :width]
-    if pixels.dtype != np.uint8 or white not in (None, 255):
-        full = white_of(pixels, white)
-        if pixels.dtype != np.uint16 or full != 65535:
-            share = np.clip(np.nan_to_num(pixels) / full, 0, 1)
-            pixels = np.rint(share * _WHITE).astype(np.uint16)
+    if pixels.dtype.kind == "f":
+        share = np.clip(np.nan_to_num(pixels), 0, 1)
+        pixels = np.rint(share * FILM_WHITE).astype(np.uint16)
     if pixels.ndim == 2:
         pixels = np.repeat(pixels[..., None], 3, 2)
     frame = VideoFrame.from_ndarray(
@@ -88,9 +83,14 @@ def frame_bytes(frame: Any) -> bytes:
 
 
 def write_view_videos(
-    folder: AnyPath, pictures: Iterable[Any], pixel_format: str = "yuv420p10"
+    folder: AnyPath,
+    pictures: Iterable[Any],
+    pixel_format: str = "yuv420p10",
+    finish: Finish | None = None,
 ) -> list[Path]:
     """Write each view, row by row, as raw video of one frame, `v000-1920x1080.yuv` and so on.
+
+    `finish` is what is done to all of them, by default as `write_picture` does.
 
     OutputError or PictureError if the folder or a file cannot be written, or holds views of an
     earlier run that these do not replace.
@@ -98,8 +98,9 @@ def write_view_videos(
     name = check_raw_format(folder, pixel_format)
     make_folder(folder)
     paths = []
+    finish = finish or Finish("view.yuv")
     for number, picture in enumerate(pictures):
-        frame = yuv_frame(picture.image, name, picture.white)
+        frame = yuv_frame(finish.apply(picture).image, name)
         paths.append(Path(folder) / view_name(number, frame.width, frame.height))
         with atomic_write(paths[-1]) as temporary:
             temporary.write_bytes(frame_bytes(frame))

@@ -15,7 +15,7 @@ from lfcal.runtime.arrays import Array
 from lfcal.runtime.output_file import atomic_write
 
 from ..runtime.types import Size
-from .formats import TIFF_TILE, tiff_tags, tiff_tiles
+from .formats import TIFF_TILE, EmbeddedMetadata, tiff_tags, tiff_tiles
 
 __all__ = ["TileWriter", "move_into_place"]
 
@@ -43,7 +43,7 @@ class TileWriter:
         dtype: Any,
         side: Size,
         text: str,
-        icc: bytes = b"",
+        embedded: EmbeddedMetadata,
         compress: bool = False,
     ) -> None:
         self._is_zarr = path.suffix.lower() == ".zarr"
@@ -54,7 +54,7 @@ class TileWriter:
         self._text = text
         self._compress = compress
         self._start = 0
-        self._tags = tiff_tags(shape, text, icc)
+        self._tags = tiff_tags(shape, text, embedded)
 
     def open(self, fresh: bool) -> bool:
         """Start an empty file, or continue that in the folder; returns whether there was one."""

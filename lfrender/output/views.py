@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 
 from lfcal import Calibration, Lattice
-from lfcal.runtime.arrays import Exposure, to_eight_bits
 from lfcal.runtime.errors import check_type
 from lfcal.runtime.output_file import atomic_write, check_folder, make_folder, refuse_leftovers
 
 from ..data.rendering import PICTURE_ADVICE, Rendering, check_pictures, pixels_between
 from ..depth.region import check_region
 from ..runtime.types import AnyPath, Size
+from .finish import Finish
 from .formats import FORMATS, QUALITY, PictureError, check_format
-from .picture import Brightness, default_exposure, write_picture
+from .picture import write_finished, write_picture
 
 __all__ = [
     "MILLISECONDS",
@@ -34,6 +34,8 @@ __all__ = [
 
 #: How long an animation shows a picture.
 MILLISECONDS = 80
+# Options of `write_picture` that `Finish` holds.
+_FINISHING = ("exposure", "tone", "white_balance")
 # Names of the files of a grid, as a regular expression.
 _GRID_FILES = r"row\d+_column\d+\.\w+"
 
@@ -70,14 +72,15 @@ def write_grid(
     columns: int,
     suffix: str = ".tif",
     *,
-    exposure: Exposure | None = None,
+    finish: Finish | None = None,
     **options: Any,
 ) -> list[Path]:
     """Write views, `columns` in a row, as `row1_column1.tif`, ... into a folder.
 
-    One of the `pictures` at a time is held in memory. All have one gain, found on the first;
-    `exposure`, `options` and errors are those of `write_picture`. OutputError if views of an
-    earlier run, which these do not replace, are in the folder.
+    One of the `pictures` at a time is held in memory. All have one gain and white balance, found on
+    the first, with the options of `write_picture`, or of `finish` if it is given. Errors are those
+    of `write_picture`, and OutputError if views of an earlier run, which these do not replace, are
+    in the folder.
 
     Examples
     --------
@@ -91,13 +94,11 @@ def write_grid(
     check_type(pictures, Iterable, "pictures", "give a list of pictures")
     target = make_folder(folder)
     paths = []
-    brightness = Brightness(default_exposure(f"view{suffix}") if exposure is None else exposure)
+    chosen = {name: options.pop(name) for name in _FINISHING if name in options}
+    finish = finish or Finish(f"view{suffix}", **chosen)
     for index, picture in enumerate(pictures):
         paths.append(target / (_grid_name(index, columns) + suffix))
-        shown = picture
-        if isinstance(picture, Rendering):
-            shown = brightness.apply(picture)
-        write_picture(paths[-1], shown, exposure=0.0, **options)
+        write_finished(paths[-1], picture, finish, **options)
     refuse_leftovers(target, _GRID_FILES, [path.name for path in paths])
     return paths
 
@@ -107,14 +108,16 @@ def write_quilt(
     pictures: Iterable[Rendering],
     columns: int,
     rows: int,
+    finish: Finish | None = None,
     **options: Any,
 ) -> str:
     """Write views from left to right as a quilt of a Looking Glass display.
 
     The first view is at the bottom left; others follow row by row.
 
-    There must be `columns * rows` of one size; `options` are those of `write_picture`. Players take
-    grid and aspect of a view from the end of the name, such as `_qs8x6a1.33`, which is returned.
+    There must be `columns * rows` of one size; `options` are those of `write_picture`, except those
+    of brightness and colours, which `finish` holds. Players take grid and aspect of a view from the
+    end of the name, such as `_qs8x6a1.33`, which is returned.
 
     Examples
     --------
@@ -125,7 +128,8 @@ def write_quilt(
     ...     write_quilt(f"{folder}/scene_qs2x1a1.32.png", pictures, columns=2, rows=1)
     '_qs2x1a1.32'
     """
-    images = [picture.image for picture in check_pictures(pictures)]
+    finish = finish or Finish(path)
+    images = [picture.image for picture in map(finish.apply, check_pictures(pictures))]
     if len(images) != columns * rows:
         raise PictureError(
             f"{path}: a quilt of {columns} x {rows} needs {columns * rows} views, got {len(images)}"
@@ -206,11 +210,16 @@ def stereo_pair(left: Rendering, right: Rendering) -> Rendering:
 
 
 def write_animation(
-    path: AnyPath, pictures: Iterable[Rendering], *, milliseconds: int = MILLISECONDS
+    path: AnyPath,
+    pictures: Iterable[Rendering],
+    *,
+    milliseconds: int = MILLISECONDS,
+    finish: Finish | None = None,
 ) -> None:
     """Write views as endless GIF, animated PNG or WebP with 8 bits; whole or not at all.
 
-    The suffix of `path` chooses the format; each picture is shown so many `milliseconds`.
+    The suffix of `path` chooses the format; each picture is shown so many `milliseconds`. `finish`
+    is what is done to all of them, by default as `write_picture` does.
 
     Examples
     --------
@@ -225,11 +234,9 @@ def write_animation(
     from PIL import Image
 
     check_format(path, "animation")
-    shown = (
-        np.ascontiguousarray(to_eight_bits(picture.image, picture.white))
-        for picture in check_pictures(pictures)
-    )
-    frames = [Image.fromarray(pixels) for pixels in shown]
+    finish = finish or Finish(path, eight_bits=True)
+    shown = map(finish.apply, check_pictures(pictures))
+    frames = [Image.fromarray(np.ascontiguousarray(picture.image)) for picture in shown]
     if not frames:
         raise PictureError(f"{path}: an animation needs at least one picture")
     suffix = Path(path).suffix.lower()

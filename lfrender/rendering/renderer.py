@@ -16,13 +16,14 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from lfcal import Calibration, LensBlur
+from lfcal.runtime.tone import is_encoded
 
 from ..data.rendering import Part, PictureGrid, convert_to_dtype
 from ..data.surface import Surface, edge_step, sample_surface_at
 from ..detail.blur import shows_both_modes, squares_to_average
 from ..detail.filters import DetailFilters, make_filters
 from ..detail.restore import HALO, choose_filters, find_places, restore_detail
-from ..flat.gray_flat import is_encoded, white_level
+from ..flat.gray_flat import white_level
 from ..flat.lens_type_weights import WEIGHT_RATIOS
 from ..flat.prefilter import prefilter_flat
 from .blend.blend_pixels import blend_pixels
@@ -113,7 +114,7 @@ class Renderer:
         filters, kinds = self._filters
         places = find_places(kinds, self.surface, self.grid, wide)
         white = white_level(pixels, self.calibration)
-        encoded = is_encoded(pixels.dtype, self.calibration)
+        encoded = is_encoded(pixels.dtype, self.calibration.encoded)
         image = restore_detail(image, valid, places, filters, white, encoded, dtype)
         inside = slice(part[1] - top, part[3] - top), slice(part[0] - left, part[2] - left)
         return np.ascontiguousarray(image[inside]), np.ascontiguousarray(valid[inside])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Literal, get_args
 
-__all__ = ["Detail", "PoseFormat", "Preset", "Shortcut", "check_choice"]
+__all__ = ["Detail", "PoseFormat", "Preset", "Shortcut", "Tone", "check_choice"]
 
 #: How the detail of a picture is restored.
 Detail = Literal["natural", "off"]
@@ -14,6 +14,8 @@ PoseFormat = Literal["nerfstudio", "colmap", "rvs"]
 Preset = Literal["fast", "balanced"]
 #: What a depth analysis may leave out (`lfrender.depth.presets.Shortcuts`).
 Shortcut = Literal["blank", "ranges", "still", "steady"]
+#: Values in proportion to light, or encoded for a display; or as format and flat suggest.
+Tone = Literal["auto", "linear", "srgb"]
 
 
 def check_choice(value: Any, choices: Any, name: str) -> None:

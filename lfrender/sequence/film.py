@@ -6,7 +6,6 @@ import shutil
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from fractions import Fraction
-from functools import cache
 from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,14 +15,13 @@ from lfcal.runtime.errors import check_type
 from lfcal.runtime.progress import Progress, show_progress
 
 from ..output.formats import check_format
-from ..output.picture import default_exposure
 from ..output.resume import Checkpoint
 from ..runtime.types import AnyPath, Size
 from .film_file import Results, film_results
 from .frames import Frame, Frames, is_video
 from .options import FrameOptions
 from .run import FrameResult, Run, render_group
-from .run_folder import RunFolder, load_camera
+from .run_folder import RunFolder
 from .workers import Workers
 
 __all__ = ["DEFAULT_RATE", "Plan", "render_film", "render_frames"]
@@ -41,7 +39,8 @@ class Plan(NamedTuple):
     frames: int  # in all, kept ones included; 0 if it is not known
     kept: int  # whose pictures are there already
     size: Size | None  # columns and rows of the pictures; None if no frame was analysed
-    colours: tuple[float, float] | None  # magnification shown blue, and red, in depth pictures
+    colours: tuple[float, float] | None  # far and near end of depth pictures
+    changes: tuple[str, ...]  # sentences about brightness and white balance, if they are changed
 
 
 def render_frames(
@@ -114,8 +113,6 @@ def render_frames(
         if is_video(maps):
             check_format(maps, "film", inputs=known.files)
             _refuse_existing(maps, overwrite)
-    if options.exposure is None:
-        options = replace(options, exposure=default_exposure(f"picture{options.suffix}"))
     # Workers may have another working directory.
     place = Path(folder) if client is None else Path(folder).absolute()
     target = RunFolder(place, options, known.names, overwrite)
@@ -155,7 +152,7 @@ def _render(
     if announce is not None:
         kept = sum(not run.folder.is_missing(name) for name in names)
         colours = None if run.state is None else run.state.colours
-        announce(Plan(len(names), kept, run.size, colours))
+        announce(Plan(len(names), kept, run.size, colours, tuple(run.sentences)))
     done: list[str] = []
     groups_done = workers.map(render_group, run, chain([first], groups))
     with show_progress(progress, "frames") as step:
@@ -208,10 +205,10 @@ def render_film(
     output = Path(path).absolute()
     check_format(output, "film", inputs=frames.files)
     options = replace(options or FrameOptions(), **given)
-    if options.exposure is None:
-        options = replace(options, exposure=default_exposure(output))
+    options = replace(options, shown_as=output.suffix.lower())
     camera = calibration and calibration.to_dict()
-    drawn = (options.preset, options.scale, options.exposure)
+    colours = (options.exposure, options.tone, options.white_balance)
+    drawn = (options.preset, options.scale, *colours)
     inputs = (*frames.files, frames.dark, str(frames.chosen), camera, drawn)
     checkpoint = Checkpoint(output, "film", *inputs)
     # A film that was begun with `overwrite` may be finished without it.
@@ -227,7 +224,6 @@ def render_film(
         folder,
         Fraction(options.rate or frames.rate or DEFAULT_RATE),
         lambda result: result.path,
-        cache(lambda: load_camera(folder).white_level),
         rendering="all in focus",
         preset=options.preset,
     )

@@ -16,6 +16,7 @@ from lfcal.runtime.arrays import Array
 from lfcal.runtime.output_file import atomic_write
 
 from ..data.rendering import Rendering
+from ..output.finish import Finish
 from ..output.formats import FORMATS, PictureError, describe_pixels
 from ..output.raw_video import yuv_frame
 from ..output.tiled_picture import move_into_place
@@ -38,17 +39,17 @@ _LOSSLESS = {
 _PIXELS = {".mp4": "yuv420p", ".mov": "yuv422p10", ".yuv": "yuv420p10"}
 
 
-def write_moving(path: Path, pictures: Iterable[Rendering]) -> None:
-    """Write pictures as an animation or a film by the suffix; whole or not at all.
+def write_moving(path: Path, pictures: Iterable[Rendering], finish: Finish) -> None:
+    """Write pictures after `finish` as an animation or a film, by the suffix; whole or not at all.
 
     Pictures follow each other as fast as in `write_animation`.
     """
     if not FORMATS[path.suffix.lower()].film:
-        write_animation(path, pictures)
+        write_animation(path, pictures, finish=finish)
         return
     with atomic_write(path) as temporary, FilmFile(temporary, Fraction(1000, MILLISECONDS)) as film:
         for picture in pictures:
-            film.add(picture.image, picture.white)
+            film.add(finish.apply(picture).image)
 
 
 def film_results(
@@ -57,7 +58,6 @@ def film_results(
     folder: Path,
     rate: Fraction,
     picture: Callable[[FrameResult], Path],
-    white: Callable[[], float | None] = lambda: None,
     **about: str,
 ) -> Results:
     """Pass results on, and write their pictures into a film, which is moved into place at the end.
@@ -77,7 +77,7 @@ def film_results(
             if shown is not None:
                 pixels = read_flat(shown)
                 for _ in range(times):
-                    film.add(pixels, white())
+                    film.add(pixels)
                 times = 0
             yield result
         if not film.count:
@@ -111,7 +111,7 @@ class FilmFile:
             self._file = av.open(str(path), "w", format=form, options=options)
             self._file.metadata["comment"] = json.dumps({"software": "lfrender", **about})
 
-    def add(self, pixels: Array, white: float | None = None) -> None:
+    def add(self, pixels: Array) -> None:
         """Add a picture (h, w) or (h, w, 3), uint8, uint16 or float.
 
         PictureError if it is of another kind than the first one.
@@ -122,7 +122,7 @@ class FilmFile:
             kinds = f"{self._first} and {kind}"
             raise PictureError(f"{self._path}: the pictures of a film are of one kind, not {kinds}")
         with self._output_errors():
-            frame = self._frame(pixels, white)
+            frame = self._frame(pixels)
             if self._stream is None:
                 self._begin(frame)
             frame.pts, frame.time_base = self.count, 1 / self._rate
@@ -156,7 +156,7 @@ class FilmFile:
                 context.color_range
             ) = 1
 
-    def _frame(self, pixels: Array, white: float | None) -> Any:
+    def _frame(self, pixels: Array) -> Any:
         import av
 
         if self._kind == ".mkv":
@@ -167,12 +167,12 @@ class FilmFile:
                 format=stored
             )
         if self._kind == ".yuv":
-            return yuv_frame(pixels, _PIXELS[self._kind], white)
+            return yuv_frame(pixels, _PIXELS[self._kind])
         # Colours are stored for 2 x 2 pixels each: odd sizes get one more row or column.
         odd = [(0, n % 2) for n in pixels.shape[:2]]
         pixels = np.pad(pixels, [*odd, (0, 0)][: pixels.ndim], mode="edge")
         return yuv_frame(
-            pixels, _PIXELS[self._kind], white, dst_colorspace="ITU709", dst_color_range="MPEG"
+            pixels, _PIXELS[self._kind], dst_colorspace="ITU709", dst_color_range="MPEG"
         )
 
     @contextmanager

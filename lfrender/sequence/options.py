@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from lfcal.runtime.arrays import Exposure
+from lfcal.runtime.tone import Exposure, WhiteBalance
 
-from ..runtime.choices import Preset
+from ..runtime.choices import Preset, Tone
 from ..runtime.types import AnyPath
 from .view_grid import ViewGrid
 
@@ -30,12 +30,17 @@ class FrameOptions:
         `".yuv444p12"`; otherwise as one folder per frame (`FRAME/image_001.png`, ...). Raw video
         appears after the last result has been taken. A frame that fails repeats the frame before.
     eight_bits : bool
-        Write pictures with 8 bits per channel; white becomes 255. JPEG and WebP always have 8 bits.
+        Write pictures with 8 bits per channel. JPEG and WebP always have 8 bits.
     exposure : float or "auto", optional [EV]
         As for `write_picture`. All pictures have one gain; `"auto"` measures it on the first frame.
+    tone, white_balance
+        As for `write_picture`; the white balance of all pictures is that of the first frame.
+    shown_as : str
+        Suffix of the format that decides what `"auto"` means for the three above, such as `".mp4"`;
+        by default that of the pictures. `render_film` sets it.
     depth_maps : path-like, optional
-        Folder for the depth map of each frame (`FRAME.npz`), or a film of depth pictures:
-        magnification in the colours of `lfrender analyze --picture`, on one scale for all frames.
+        Folder for the depth map of each frame (`FRAME.npz`), or a film of depth pictures in the
+        colours of `lfrender analyze --picture`, on one scale for all frames.
     rate : float, optional
         Pictures per second of a film. None takes the rate of the first video, or else 25.
     segment, group : int
@@ -55,6 +60,9 @@ class FrameOptions:
     views: ViewGrid | None = None
     eight_bits: bool = False
     exposure: Exposure | None = None
+    tone: Tone = "auto"
+    white_balance: WhiteBalance = "auto"
+    shown_as: str = ""
     depth_maps: AnyPath | None = None
     rate: float | None = None
     segment: int = 30

@@ -18,17 +18,19 @@ from time import perf_counter
 from typing import Any, Literal
 
 from lfcal import Calibration, LightFieldError, OutputError, calibrate
-from lfcal.runtime.arrays import Array, exposure_gain
+from lfcal.runtime.arrays import Array
 from lfcal.runtime.errors import check_type
 
 from ..data.depth_file import DepthFileError
 from ..data.depth_map import DepthMap, default_scale
+from ..data.depth_order import depth_limits
 from ..data.rendering import PictureGrid, Rendering
 from ..depth.analyze import analyze
 from ..flat.demosaicing import demosaic
-from ..output.depth_picture import depth_picture, magnification_limits
+from ..output.depth_picture import depth_picture
+from ..output.finish import Finish
 from ..output.formats import EmbeddedMetadata, read_metadata
-from ..output.picture import Brightness, eight_bits, write_picture
+from ..output.picture import encoded_by, write_finished, write_picture
 from ..rendering.render import render
 from ..rendering.viewpoints import still_depth
 from ..runtime.types import Size
@@ -121,6 +123,8 @@ class Run:
             "dark": frames.dark and str(frames.dark),
             "views": views,
             "exposure": options.exposure,
+            "tone": options.tone,
+            "white_balance": options.white_balance,
         }
         # As they are read from a file, so that they compare.
         self._settings: dict[str, Any] = json.loads(json.dumps(settings))
@@ -214,11 +218,9 @@ class Run:
         options = self.options
         camera = self._camera(flat)
         scale = default_scale(depth) if options.scale is None else options.scale
-        gain = 1.0
-        if options.exposure is not None:
-            gain = exposure_gain(flat, camera.white_level, options.exposure)
-        colours = magnification_limits(depth.magnification)
-        self.state = RunState(scale, still_depth(depth), colours, gain)
+        gain, balance = self._finish(None).measure_flat(flat, camera)
+        colours = depth_limits(depth)
+        self.state = RunState(scale, still_depth(depth), colours, gain, balance)
         self.camera = self.folder.save_state(self._settings, self.state, camera)
 
     def _analyze(self, flat: Array, before: _Reference | None) -> DepthMap:
@@ -296,24 +298,43 @@ class Run:
             pictures = self.options.views.draw(
                 flat, self._camera(flat), depth, state.scale, state.still
             )
-            self.folder.views.write(number, frame.name, map(self._as_written, pictures))
+            self.folder.views.write(number, frame.name, pictures, self._finish(None))
         else:
             picture = picture or self._draw(flat, depth, first)
             settings: dict[str, Any] = {"rendering": "all in focus", "preset": self.options.preset}
-            settings |= Brightness(None, state.gain).entries
-            embedded = frame.source and read_metadata(frame.source)
-            shown = self._as_written(picture)
+            embedded = EmbeddedMetadata()
+            if frame.source:
+                embedded = read_metadata(frame.source)
             path = self.folder.path_of(frame.name)
-            options: dict[str, Any] = {"settings": settings, "exposure": 0.0}
-            write_picture(path, shown, embedded=embedded or EmbeddedMetadata(), **options)
+            finish = self._finish(encoded_by(embedded))
+            write_finished(path, picture, finish, settings=settings, embedded=embedded)
         still = float(depth.saved.get("still", 0))
         return self.result(frame, "rendered", seconds=perf_counter() - start, still=still)
 
-    def _as_written(self, picture: Rendering) -> Rendering:
-        shown: Rendering = Brightness(None, self._known.gain).apply(picture)
-        if self.options.eight_bits:
-            return eight_bits(shown)
-        return shown
+    def _finish(self, encoded: bool | None) -> Finish:
+        """What is done to all pictures of the run, of which frames may tell whether they are encoded."""
+        options = self.options
+        suffix = options.shown_as or options.suffix
+        if self.folder.views is not None and self.folder.views.raw:
+            suffix = ".yuv"
+        known = None
+        if self.state is not None:
+            red, green, blue = self.state.balance
+            known = self.state.gain, (red, green, blue)
+        return Finish(
+            f"picture{suffix}",
+            exposure=options.exposure,
+            tone=options.tone,
+            white_balance=options.white_balance,
+            eight_bits=options.eight_bits,
+            encoded=encoded,
+            known=known,
+        )
+
+    @property
+    def sentences(self) -> list[str]:
+        """What is done to all pictures, once the first frame has been analysed."""
+        return self._finish(None).sentences
 
 
 def render_group(run: Run, group: Group, _loaded: object) -> list[FrameResult]:

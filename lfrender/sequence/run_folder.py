@@ -28,8 +28,9 @@ class RunState:
 
     scale: float  # output pixels per pitch
     still: float  # patch size [px] of the places that do not move from view to view
-    colours: tuple[float, float]  # magnification at both ends of the colours of depth pictures
-    gain: float  # factor on the brightness of pictures
+    colours: tuple[float, float]  # far and near end of the colours of depth pictures
+    gain: float  # factor on the light of pictures
+    balance: tuple[float, float, float]  # and further factors on red, green and blue
 
 
 def load_camera(folder: Path) -> Calibration:

@@ -21,8 +21,9 @@ from lfcal.runtime.arrays import Array
 
 from ..data.depth_map import DepthMap
 from ..data.rendering import Rendering
+from ..output.finish import Finish
 from ..output.formats import check_format
-from ..output.picture import write_picture
+from ..output.picture import write_finished
 from ..output.raw_video import check_raw_format, frame_bytes, view_name, yuv_frame
 from ..output.views import resize_view, scale_for_size
 from ..rendering.viewpoints import grid_offsets, views
@@ -114,24 +115,23 @@ class ViewOutput:
                 remedy = "give another folder, or render everything again (--overwrite)"
                 raise OutputError(f"{self.folder}: holds the frames of another sequence; {remedy}")
 
-    def write(self, number: int, name: str, pictures: Iterator[Rendering]) -> None:
+    def write(self, number: int, name: str, pictures: Iterator[Rendering], finish: Finish) -> None:
+        """Write the views of a frame after `finish`."""
         if self.raw:
-            self._write_raw(number, name, pictures)
+            self._write_raw(number, name, map(finish.apply, pictures))
             return
         unfinished = self._parts / name
         shutil.rmtree(unfinished, ignore_errors=True)
         unfinished.mkdir()
         for view, picture in enumerate(pictures):
             path = unfinished / f"image_{view + 1:03d}{self.suffix}"
-            write_picture(
-                path, picture, settings={"rendering": "views", "view": view}, exposure=0.0
-            )
+            write_finished(path, picture, finish, settings={"rendering": "views", "view": view})
         shutil.rmtree(self.folder / name, ignore_errors=True)
         os.replace(unfinished, self.folder / name)
 
     def _write_raw(self, number: int, name: str, pictures: Iterator[Rendering]) -> None:
         for view, picture in enumerate(pictures):
-            frame = yuv_frame(picture.image, self.raw, picture.white)
+            frame = yuv_frame(picture.image, self.raw)
             data = frame_bytes(frame)
             path = self._parts / view_name(view, frame.width, frame.height)
             finished = self.folder / path.name

@@ -89,7 +89,7 @@ def run_demo(
             **pictures.fixed,
             "all_in_focus": sharp,
             "reference": true_picture,
-            "magnification": maps["magnification"],
+            "depth": maps["depth"],
             "modes": maps["modes"],
         }
         for name, picture in written.items():

@@ -11,19 +11,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Calibration
-from lfcal.runtime.arrays import exposure_gain, to_eight_bits
 from lfcal.runtime.output_file import atomic_write
 from lfcal.runtime.page import to_svg
 
-from ..data.depth_map import BINOCULAR, MODE_COLOURS, MODES, REASONS, TELESCOPIC, DepthMap, finite
+from ..data.depth_map import (
+    BINOCULAR,
+    MODE_COLOURS,
+    MODES,
+    REASONS,
+    TELESCOPIC,
+    DepthMap,
+    finite,
+    magnification_range,
+)
+from ..data.depth_order import depth_limits, name_ends
 from ..data.rendering import PictureGrid
-from ..output.depth_picture import lens_maps, magnification_limits
+from ..output.depth_picture import lens_maps
+from ..output.finish import Finish
 from .calibration_figure import calibration_panels, flat_part
 from .report_pictures import ReportPictures, data_urls, draw_pictures, picture_url, reduce_picture
 from .templates import Markup, fill, read_asset
 
 __all__ = ["write_report"]
 
+# Ends of the scale of M of a depth map without depth.
+_LIMITS_OF_NONE = (1.0, 10.0)
 # Number of bars of the histogram.
 _BINS = 40
 # Largest width of the maps and of the flat [px], twice that of their column on the page; largest
@@ -84,25 +96,22 @@ def write_report(
     grid = PictureGrid(lattice.image_size, lattice.pitch, scale)
     maps = lens_maps(depth, lattice, grid.affine(), grid.size[::-1])
     charts = {name: picture_url(picture, ".png") for name, picture in maps.items()}
-    raw = to_eight_bits(flat, calibration.white_level, exposure_gain(flat, calibration.white_level))
-    shown = {
-        "all_in_focus": pictures.sharp.image,
-        **{name: picture.image for name, picture in pictures.fixed.items()},
-        "traditional": pictures.traditional.image,
-        **(compare or {}),
-        "flat": reduce_picture(raw, min(1.0, _WIDTH / flat.shape[1])),
-    }
-    gain = exposure_gain(pictures.sharp.image, calibration.white_level)
+    raw = Finish("flat.webp").show(flat, calibration)
+    finish = Finish("picture.webp")
+    drawn = {"all_in_focus": pictures.sharp, **pictures.fixed, "traditional": pictures.traditional}
+    shown = {name: finish.apply(picture).image for name, picture in drawn.items()}
+    shown |= {name: finish.show(pixels, calibration) for name, pixels in (compare or {}).items()}
+    shown["flat"] = reduce_picture(raw, min(1.0, _WIDTH / flat.shape[1]))
     panels = calibration_panels(flat, calibration)
     crop = flat_part(flat, _most_detail(pictures), _CROP * calibration.lattice.pitch)
     room = _ROOM - sum(map(len, [*charts.values(), further, panels, crop["url"]]))
-    urls, size = data_urls(shown, room, calibration.white_level, gain)
+    urls, size = data_urls(shown, room)
     names = {"all_in_focus": "all in focus", "traditional": "traditional"}
     names |= {name: f"one patch size, {name}" for name in pictures.fixed}
     names |= {name: name for name in compare or {}}
     height, width = pictures.sharp.image.shape[:2]
     known = finite(depth.magnification)
-    limits = magnification_limits(depth.magnification)
+    limits = _magnification_limits(depth)
     reasons = {
         REASONS[code]: float(np.mean(depth.reason == code))
         for code in np.unique(depth.reason)
@@ -125,7 +134,7 @@ def write_report(
         urls=urls,
         sizes=pictures.patch_size,
         charts=charts,
-        limits=limits,
+        ends=name_ends(depth_limits(depth)),
         histogram=_histogram(depth),
         outliers=int(np.sum((known < limits[0]) | (known > limits[1]))),
         panels=panels,
@@ -159,6 +168,14 @@ def _most_detail(pictures: ReportPictures) -> NDArray[np.float64]:
     return place
 
 
+def _magnification_limits(depth: DepthMap) -> tuple[float, float]:
+    """Ends of a scale of M that holds 98 % of the lenses with a finite one."""
+    known = finite(depth.magnification)
+    if not known.size:
+        return _LIMITS_OF_NONE
+    return magnification_range(known)
+
+
 def _histogram(depth: DepthMap) -> Any:
     """SVG: number of lenses over magnification, telescopic ones above the axis, binocular below.
 
@@ -167,7 +184,7 @@ def _histogram(depth: DepthMap) -> Any:
     """
     from matplotlib.figure import Figure
 
-    low, high = magnification_limits(depth.magnification)
+    low, high = _magnification_limits(depth)
     step = (high / low) ** (1 / _BINS)
     edges = np.geomspace(low / step, high * step, _BINS + 3)
     figure = Figure((9, 2.8), facecolor="none", layout="constrained")
@@ -204,7 +221,7 @@ def _figures(
         "telescopic": f"{np.mean(depth.mode == 1):.1%}",
         "binocular": f"{np.mean(depth.mode == -1):.1%}",
         "magnification M, median": f"{np.median(known):.2f}" if known.size else "unknown",
-        "calibration confidence": f"{calibration.confidence:.2f}",
+        "calibration confidence": calibration.confidence_text,
         "pixels per microlens pitch": f"{pictures.sharp.scale:.1f}",
     }
     if calibration.optics is not None:

@@ -7,10 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from lfcal import Calibration, LightFieldError
-from lfcal.runtime.arrays import to_eight_bits
 
 from ..data.depth_map import BINOCULAR, MODES, RARE_MODE, TELESCOPIC, DepthMap, check_depth
 from ..data.rendering import Rendering
@@ -65,27 +64,18 @@ def draw_pictures(flat: NDArray, calibration: Calibration, depth: DepthMap) -> R
     return ReportPictures(sharp, traditional(flat, calibration), fixed, sizes)
 
 
-def data_urls(
-    pictures: Mapping[str, ArrayLike], most: int, white: float | None = None, gain: float = 1.0
-) -> tuple[dict[str, str], float]:
+def data_urls(pictures: Mapping[str, NDArray[np.uint8]], most: int) -> tuple[dict[str, str], float]:
     """Pictures as WebP in data URLs of at most `most` characters in all, and their scale.
 
     All have the same quality, the best that fits, and below that the same reduction of width and
-    height. `white` is the white level of integer pictures of more than 8 bits, by default the
-    largest value of their type, which `gain` brightens.
+    height.
     """
-    arrays = {name: np.asarray(picture) for name, picture in pictures.items()}
-    # Those of 8 bits are as they are to be shown.
-    shown = {
-        name: to_eight_bits(one, white, 1.0 if one.dtype == np.uint8 else gain)
-        for name, one in arrays.items()
-    }
     urls: dict[str, str] = {}
     for size, quality in _SIZES:
-        if size * max(max(picture.shape[:2]) for picture in shown.values()) > _WEBP_SIDE:
+        if size * max(max(picture.shape[:2]) for picture in pictures.values()) > _WEBP_SIDE:
             continue
         urls = {}
-        for name, picture in shown.items():
+        for name, picture in pictures.items():
             if max(picture.shape) >= _SMALL:
                 picture = reduce_picture(picture, size)
             urls[name] = picture_url(picture, quality=quality)

@@ -11,16 +11,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfcal import Calibration, LightFieldError
-from lfcal.runtime.arrays import MOST, exposure_gain, to_eight_bits
+from lfcal.runtime.arrays import MOST
 
 from ..data.depth_map import DepthMap, check_depth, default_scale
+from ..data.depth_order import depth_limits, depth_order, name_ends
 from ..data.surface import edge_step
 from ..detail.blur import averaged_squares, choose_blur, shows_both_modes
 from ..flat.gray_flat import correction_tables, has_uneven_lenses
 from ..flat.lens_graph import lens_displacements, lens_offsets, nearest_lens
 from ..flat.lens_type_weights import WEIGHT_RATIOS, focus_weights
 from ..flat.validation import check_flat
-from ..output.depth_picture import colour_scale, magnification_limits
+from ..output.depth_picture import DEPTH_SCALE, colour_scale
+from ..output.finish import Finish
 from ..rendering.blend.lit_flat import dilate_mask
 from ..rendering.blend.occlusion import project_surface
 from ..rendering.renderer import AGREEMENT, REACH, REFOCUS_REACH, VIEW_REACH
@@ -84,9 +86,9 @@ def viewer_scene(
     scene = _tables(calibration, depth, edge, pixels)
     scene |= {"title": title, "size": [width, height], "metric": calibration.optics is not None}
     scene["rings"] = {"step": step, "values": _base64(np.column_stack(rings), np.float32)}
-    white = calibration.white_level
     with_occlusion = []
-    gain = exposure_gain(pixels, white)
+    finish = Finish("flat.webp")
+    finish.measure_flat(pixels, calibration)
     for name, (x, y) in places.items():
         part = _cut(codes, x, y, side)
         if part.any():
@@ -95,13 +97,11 @@ def viewer_scene(
                 np.uint8
             )
             yield f"occlusion-{name}.png", encode_picture(coded, ".png", compression)
-        shown = to_eight_bits(_cut(even, x, y, side), white, gain)
+        shown = finish.show(_cut(even, x, y, side), calibration)
         yield f"flat-{name}.png", encode_picture(shown, ".png", compression)
     plain = traditional(flat, calibration)
-    yield (
-        "traditional.png",
-        encode_picture(to_eight_bits(plain.image, white, gain), ".png", compression),
-    )
+    shown = finish.apply(plain).image
+    yield "traditional.png", encode_picture(shown, ".png", compression)
     scene["traditional"] = {"first": plain.affine[:, 2], "shape": plain.image.shape[:2]}
     columns, rows = (len(set(ends)) for ends in zip(*places.values(), strict=True))
     scene["tiles"] = {"side": side, "columns": columns, "rows": rows, "occlusion": with_occlusion}
@@ -194,6 +194,7 @@ def _tables(
     averaged = averaged_squares(calibration, blur, WEIGHT_RATIOS, both)
     virtual = virtual_depth(surface.patch_size, lattice.pitch)
     ends, middle = _planes(depth)
+    limits = depth_limits(depth)
     moved = {
         "shape": displacements.shape[:2],
         "low": low,
@@ -227,8 +228,9 @@ def _tables(
         "plane": middle,
         "reach": {"sharp": REACH, "aside": VIEW_REACH, "wide": REFOCUS_REACH},
         "overlay": {
-            "limits": magnification_limits(depth.magnification),
-            "ramp": _base64(colour_scale("turbo"), np.uint8),
+            "limits": limits,
+            "ends": name_ends(limits),
+            "ramp": _base64(colour_scale(DEPTH_SCALE), np.uint8),
         },
     }
 
@@ -244,7 +246,7 @@ def _planes(depth: DepthMap) -> tuple[list[float], float]:
     resolved |= not resolved.any()
     known = depth.filled_patch_size[resolved].astype(float)
     pitch = depth.pitch
-    near = np.where(known > 0, known, known + 2 * pitch)
+    near = pitch * depth_order(known, pitch)
     low, high = np.percentile(near, MOST, method="nearest")
     order = np.argsort(near)
     near = near[order]

@@ -1,6 +1,6 @@
 """What command lines are made of: programs, parameters, progress and figures, Ctrl-C."""
 
-from .parameters import ExposureValue, OutputPath, Pair, Quantity, several_inputs
+from .parameters import BalanceValue, ExposureValue, OutputPath, Pair, Quantity, several_inputs
 from .program import (
     DARK,
     INPUT,
@@ -21,6 +21,7 @@ __all__ = [
     "INPUT",
     "READING",
     "SIZE",
+    "BalanceValue",
     "ExposureValue",
     "OutputPath",
     "Pair",

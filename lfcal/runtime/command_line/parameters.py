@@ -22,6 +22,7 @@ from ..image_formats import IMAGE_FORMATS, identify_format
 
 __all__ = [
     "INPUTS",
+    "BalanceValue",
     "ExposureValue",
     "InputPath",
     "OutputPath",
@@ -74,6 +75,10 @@ class Quantity(click.FloatRange):
         return super().convert(number, param, ctx)
 
 
+# Largest gain of a white balance: sensors that see least of a colour need about 4.
+_MOST_BALANCE = 100.0
+
+
 class ExposureValue(click.ParamType):
     """A brightness: a number of EV, or `auto`."""
 
@@ -92,6 +97,27 @@ class ExposureValue(click.ParamType):
         if not abs(number) <= 16:
             self.fail(f"must be auto, or a number of EV from -16 to 16, got {value!r}", param, ctx)
         return number
+
+
+class BalanceValue(click.ParamType):
+    """A white balance: gains of red, green and blue, `auto` or `none`."""
+
+    name = "R,G,B|auto|none"
+
+    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
+        return self.name
+
+    def convert(self, value: Any, param: _Parameter, ctx: _Context) -> Any:
+        if value in ("auto", "none") or isinstance(value, tuple):
+            return value
+        try:
+            gains = tuple(map(float, str(value).split(",")))
+        except ValueError:
+            gains = ()
+        if len(gains) != 3 or not all(0 < gain <= _MOST_BALANCE for gain in gains):
+            wanted = "auto, none or three gains such as 1.9,1,1.6"
+            self.fail(f"must be {wanted}, got {value!r}", param, ctx)
+        return gains
 
 
 class InputPath(click.Path):

@@ -43,11 +43,11 @@ export function controlPage(viewer) {
   $("screen").hidden = !document.fullscreenEnabled;
   if (!filmType()) Object.assign($("film"), { disabled: true, title: "This browser records no films" });
   controlLine(viewer);
-  const [low, high] = scene.overlay.limits, ramp = bytes(scene.overlay.ramp), stops = [];
+  const [far, near] = scene.overlay.ends, ramp = bytes(scene.overlay.ramp), stops = [];
   for (let n = 0; n < 256; n += 15) stops.push(`rgb(${ramp.slice(3 * n, 3 * n + 3).join(" ")})`);
   $("ramp").style.background = `linear-gradient(to right, ${stops})`;
-  $("low").textContent = `M = ${low.toFixed(1)}`;
-  $("high").textContent = high.toFixed(1);
+  $("low").textContent = far;
+  $("high").textContent = near;
   $("about").textContent = `${scene.size.join(" × ")} px, pitch ${pitch.toFixed(2)} px`;
 }
 

@@ -40,7 +40,7 @@ export function fileName({ scene, settings: s }, suffix) {
     focus: `focus-${M(s.plane)}-${modeName(s.plane)}`, range: "sharp-range", sharp: "sharp", traditional: "traditional", tiles: `tiles-${M(s.plane)}-${modeName(s.plane)}`,
   }[s.mode];
   const aside = s.q.some(n => n) ? `_view${s.q.map(n => `${n < 0 ? "-" : "+"}${Math.abs(Math.round((100 * n) / scene.radius))}`).join("")}` : "";
-  return `${title}_${shown}${aside}${s.stereo ? `_${s.stereo}` : ""}${s.overlay ? "_magnification" : ""}${suffix}`;
+  return `${title}_${shown}${aside}${s.stereo ? `_${s.stereo}` : ""}${s.overlay ? "_depth" : ""}${suffix}`;
 }
 
 export function savePicture(viewer) {

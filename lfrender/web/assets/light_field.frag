@@ -71,7 +71,7 @@ uniform float radius;               // usable radius times aperture
 uniform float plane;                // the one s of all places, or 0 for the surface
 uniform vec2 between;               // ends of the range of depths that are sharp, toward the camera; first > second: none
 uniform vec2 corner;                // of the picture, on what is drawn into
-uniform float exposure;             // factor on all colours
+uniform float exposure;             // factor on the light of all colours
 uniform vec2 first;                 // X of the middle of pixel (0, 0)
 uniform float spacing;              // between pixels, in X
 uniform vec3 offsets[128];          // of lenses from the nearest one, and their least distance from X
@@ -81,8 +81,8 @@ uniform float reach, agreement;        // of places out of their own depth ...
 uniform float reachOwn, agreementOwn;  // ... and of those that are drawn at it
 uniform float rows;                 // of the picture
 uniform float most;                 // sub-samples along a pixel's side; fewer while something moves
-uniform float overlay;              // share of the colours of M
-uniform vec2 limits;                // ends of the scale of M
+uniform float overlay;              // share of the colours of depth
+uniform vec2 limits;                // far and near end of the scale of depth
 uniform vec3 background;
 uniform vec2 traditionalFirst;      // X of the first pixel of the traditional picture
 uniform float traditionalStep;      // between its pixels, in X; 0 where another picture is drawn
@@ -243,10 +243,19 @@ vec4 colourAt(vec2 X, float s) {
   return vec4(mixed / norm, 1.0);
 }
 
-vec3 magnificationColour(vec2 X) {
+// Values of sRGB with `exposure` times their light; as encode_srgb and decode_srgb in Python.
+vec3 brighten(vec3 shown) {
+  if (exposure == 1.0) return shown;
+  shown = max(shown, 0.0);
+  vec3 light = exposure * mix(shown / 12.92, pow((shown + 0.055) / 1.055, vec3(2.4)), step(0.04045, shown));
+  return mix(12.92 * light, 1.055 * pow(light, vec3(1.0 / 2.4)) - 0.055, step(0.0031308, light));
+}
+
+vec3 depthColour(vec2 X) {
   vec2 found = surfaceAt(X);
   if (found.y < 0.5) return vec3(0.59);
-  float share = log(pitch / abs(found.x) / limits.x) / log(limits.y / limits.x);
+  float order = found.x / pitch + (found.x < 0.0 ? 2.0 : 0.0);
+  float share = (order - limits.x) / (limits.y - limits.x);
   return textureLod(ramp, vec2((clamp(share, 0.0, 1.0) * 255.0 + 0.5) / 256.0, 0.5), 0.0).rgb;
 }
 
@@ -260,8 +269,8 @@ void main() {
   }
   if (traditionalStep > 0.0) {
     vec2 at = ((shown - traditionalFirst) / traditionalStep + 0.5) / vec2(textureSize(traditional, 0));
-    vec3 mean = exposure * textureLod(traditional, at, 0.0).rgb;
-    result = vec4(overlay > 0.0 ? mix(mean, magnificationColour(X), overlay) : mean, 1.0);
+    vec3 mean = brighten(textureLod(traditional, at, 0.0).rgb);
+    result = vec4(overlay > 0.0 ? mix(mean, depthColour(X), overlay) : mean, 1.0);
     return;
   }
   float s = sizeAt(X), side = abs(s) * spacing / pitch, apart = 0.0;
@@ -288,8 +297,8 @@ void main() {
       total += colourAt(at, across == 1 ? s : sizeAt(at));
     }
   }
-  vec3 colour = total.a > 0.0 ? exposure * total.rgb / total.a : background;
-  if (overlay > 0.0 && total.a > 0.0) colour = mix(colour, magnificationColour(X), overlay);
+  vec3 colour = total.a > 0.0 ? brighten(total.rgb / total.a) : background;
+  if (overlay > 0.0 && total.a > 0.0) colour = mix(colour, depthColour(X), overlay);
   result = vec4(colour, 1.0);
 }
 

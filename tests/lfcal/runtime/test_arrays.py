@@ -15,7 +15,6 @@ import pytest
 import lfcal
 import lfrender
 from lfcal.camera.lens_types import LensTypes
-from lfcal.runtime.arrays import to_eight_bits
 
 
 def arrays(frozen):
@@ -54,19 +53,6 @@ def test_cameras_and_depth_maps_compare_by_value(house):
     assert depth != replace(depth, pitch=depth.pitch + 1)
     picture = lfrender.render(house.flat, camera, depth)
     assert picture == copy.copy(picture) and picture != replace(picture, image=picture.image // 2)
-
-
-@pytest.mark.parametrize(
-    ("pixels", "white"),
-    [
-        (np.array([0, 128, 255], np.uint8), 100.0),
-        (np.array([0, 128 * 257, 65535], np.uint16), None),
-        (np.array([0, 128 * 16, 60000], np.uint16), 4095.0),
-        (np.array([np.nan, 128 / 255, 7], np.float32), 4095.0),
-    ],
-)
-def test_black_middle_and_white_of_all_types_with_8_bits(pixels, white):
-    np.testing.assert_array_equal(to_eight_bits(pixels, white), np.array([0, 128, 255], np.uint8))
 
 
 def test_a_derived_value_is_made_once_for_a_key_and_freed_with_its_record():

@@ -12,6 +12,7 @@ import tifffile
 from click.testing import CliRunner
 
 import lfcal
+from lfcal.runtime.tone import encode_srgb
 from lfrender.cli.main import main
 
 
@@ -41,12 +42,12 @@ def test_sixteen_bits_become_eight_where_the_format_or_the_user_wants_it_and_tha
         words = ("-c", camera, "--patch-size", "6", "-o", tmp_path / name)
         result = run("render", tmp_path / "flat.tif", *words, *options)
         assert result.exit_code == 0, result.output
-        assert ("8 bits: 0 to 65535 became 0 to 255 in proportion" in result.stdout) == (
-            name != "c.png"
-        )
+        told = "8 bits: 0 to 65535 became 0 to 255 by the curve of sRGB"
+        assert (told in result.stdout) == (name != "c.png")
         pictures[name] = lfcal.read_flat(tmp_path / name)
     assert [picture.dtype for picture in pictures.values()] == [np.uint8, np.uint8, np.uint16]
-    assert np.abs(pictures["b.png"] - pictures["c.png"] / 257).max() <= 0.5
+    shown = 255 * encode_srgb(pictures["c.png"] / 65535)
+    assert np.abs(pictures["b.png"] - shown).max() <= 0.51
     # Grey levels: JPEG, and its brightness.
     assert np.abs(pictures["a.jpg"].astype(float) - pictures["b.png"]).mean() < 8
 

@@ -1,3 +1,4 @@
+import sys
 import time
 from dataclasses import replace
 
@@ -192,3 +193,18 @@ def test_a_large_surface_is_shown_in_a_second(analysed):
     start = time.process_time()
     assert "<img" in large._repr_html_()
     assert time.process_time() - start < 1
+
+
+def test_a_table_has_one_row_for_each_lens_with_and_without_pandas(monkeypatch):
+    depth = lfrender.data.example()[2]
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    plain = depth.to_table()
+    assert isinstance(plain, np.recarray) and len(plain) == len(depth)
+    np.testing.assert_array_equal(plain.patch_size, depth.patch_size)
+    np.testing.assert_array_equal(plain.x, depth.centres[:, 0])
+    assert set(plain["mode"]) <= {"telescopic", "binocular", "unresolved"}
+    assert (plain["reason"][depth.mode != 0] == "resolved").all()
+    monkeypatch.undo()
+    pandas = pytest.importorskip("pandas")
+    table = depth.to_table()
+    assert isinstance(table, pandas.DataFrame) and list(table.columns) == list(plain.dtype.names)

@@ -1,22 +1,26 @@
-"""Dim pictures are brightened by one gain where they are made to be looked at, and in files for
-work on request.
+"""Brightness, tone and white balance of pictures in files: what each format gets by itself, and on
+request.
 """
 
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 import tifffile
 from click.testing import CliRunner
+from PIL.ImageCms import ImageCmsProfile, createProfile
 
 import lfcal
 import lfrender
-from lfcal.runtime.arrays import brighten, exposure_gain, to_eight_bits
+from lfcal.runtime.colour_profile import colour_profile, is_linear_profile
+from lfcal.runtime.tone import apply_tone, encode_srgb, exposure_gain, linear_light
 from lfrender.cli.main import main
 from lfrender.data.rendering import Rendering
+from lfrender.output.formats import EmbeddedMetadata, read_metadata
 from lfrender.output.views import write_grid
 
 
@@ -27,24 +31,28 @@ def dim(brightest=0.04, kind=np.uint16):
     return Rendering(image, np.eye(2, 3), np.ones(image.shape, bool), 1.0)
 
 
-def test_only_dim_pictures_of_more_than_8_bits_are_exposed_by_their_content():
+def test_dim_pictures_are_exposed_by_their_content_those_of_8_bits_on_request():
     assert exposure_gain(dim(0.04).image) == pytest.approx(0.9 / 0.04, rel=0.02)
     assert exposure_gain(dim(0.04).image, 4095) == pytest.approx(
         0.9 * 4095 / (0.04 * 65535), rel=0.02
     )
     assert exposure_gain(dim(0.04, np.float32).image, 4095) == pytest.approx(0.9 / 0.04, rel=0.02)
-    assert exposure_gain(dim(0.95).image) == exposure_gain(dim(0.04, np.uint8).image) == 1
+    assert exposure_gain(dim(0.95).image) == 1
+    # Values of 8 bits are encoded: 0.22 of the largest is 0.04 of its light.
+    eight = dim(float(encode_srgb(np.array(0.04))), np.uint8).image
+    assert exposure_gain(eight, exposure=None) == 1
+    assert exposure_gain(eight) == pytest.approx(0.9 / 0.04, rel=0.03)
     assert exposure_gain(dim(0.04).image, exposure=3.0) == 8
     assert exposure_gain(np.zeros((9, 9), np.uint16)) == 1000
 
 
 def test_a_gain_keeps_the_type_and_stops_at_white():
-    bright = brighten(dim(0.5).image, 4.0, 40_000)
+    bright = apply_tone(dim(0.5).image, np.uint16, False, white=40_000, gain=4.0)
     assert bright.dtype == np.uint16 and bright.max() == 40_000
-    assert brighten(dim(0.5, np.uint8).image, 4.0, 4095).max() == 255
-    assert brighten(dim(0.5, np.float32).image, 4.0).max() == pytest.approx(2.0)
-    # A camera of 12 bits does not darken flats of 8 bits.
-    assert (to_eight_bits(dim(1.0, np.uint8).image, 4095) == dim(1.0, np.uint8).image).all()
+    eight = dim(0.5, np.uint8).image
+    assert apply_tone(eight, np.uint8, True, white=4095, gain=8.0).max() == 255
+    floats = dim(0.5, np.float32).image
+    assert apply_tone(floats, np.float32, False, gain=4.0).max() == pytest.approx(2.0)
 
 
 @pytest.mark.parametrize(
@@ -59,14 +67,15 @@ def test_jpeg_and_webp_show_dim_pictures_and_files_for_work_keep_their_values(
     top = np.iinfo(pixels.dtype).max
     assert (pixels.max() > 0.85 * top) == brightened and (pixels.max() < 0.05 * top) != brightened
     lfrender.write_picture(path, dim(), exposure=2.0)
-    assert lfcal.read_flat(path).max() == pytest.approx(0.16 * top, rel=0.06)
+    light = linear_light(lfcal.read_flat(path))
+    assert light.max() == pytest.approx(0.16, rel=0.06)
 
 
 def test_views_of_a_grid_have_one_gain(tmp_path):
     first = dim(0.04)
     second = dim(0.02)
     paths = write_grid(tmp_path, [first, second], 2, ".jpg")
-    bright, half = (lfcal.read_flat(path).max() for path in paths)
+    bright, half = (linear_light(lfcal.read_flat(path)).max() for path in paths)
     assert half == pytest.approx(bright / 2, rel=0.05)
 
 
@@ -100,7 +109,8 @@ def test_commands_brighten_jpeg_by_themselves_and_tiff_on_request(dark_flat, tmp
     picture, told = run("p.jpg")
     assert picture.max() > 200 and "Brightness times" in told and "--exposure 0" in told
     picture, told = run("dark.jpg", "--exposure", "0")
-    assert picture.max() < 20 and "Brightness" not in told
+    assert linear_light(picture).max() < 20 / 255 and "Brightness" not in told
+    assert "by the curve of sRGB" in told
     plain, told = run("plain.tif")
     assert "Brightness" not in told
     bright, _ = run("bright.tif", "--exposure", "2")
@@ -135,7 +145,8 @@ def test_frames_of_a_sequence_have_one_gain_which_a_continued_run_keeps(dark_fla
 
     first, second = run()
     assert np.percentile(first, 99.5) > 200
-    assert second.mean() == pytest.approx(first.mean() / 2, rel=0.1)
+    light = [linear_light(picture).mean() for picture in (first, second)]
+    assert light[1] == pytest.approx(light[0] / 2, rel=0.1)
     (tmp_path / "out/f1.jpg").unlink()
     np.testing.assert_array_equal(run()[1], second)
 
@@ -149,3 +160,125 @@ def test_the_option_takes_ev_or_auto(text, value):
     assert ExposureValue().convert(text, None, None) == value
     done = CliRunner().invoke(main, ["render", "flat.png", "-o", "p.png", "--exposure", "bright"])
     assert done.exit_code == 2 and "a number of EV" in done.stderr
+
+
+def forms_of(house):
+    """One scene as its sensor sees it with 8 bits for a display, and linear in three forms."""
+    light = linear_light(house.flat)
+    camera = house.truth.calibration
+    deep = np.rint(light * 4095).astype(np.uint16)
+    twelve = replace(camera, white_level=4095.0)
+    height, width = light.shape[:2]
+    rows, columns = np.indices((height, width)) % 2
+    raw = np.take_along_axis(deep, (rows + columns)[..., None], 2)[..., 0]
+    filtered = replace(twelve, mosaic="RGGB", white_balance=(1.0, 1.0, 1.0))
+    return {
+        "8 bits": (house.flat, camera),
+        "16 bits": (deep, twelve),
+        "mosaic": (raw, filtered),
+        "float": (light.astype(np.float32), camera),
+    }
+
+
+def test_all_forms_of_a_scene_give_jpegs_of_one_brightness(house, tmp_path):
+    depth = lfrender.analyze(house.flat, house.truth.calibration, "fast")
+    means = {}
+    for name, (flat, camera) in forms_of(house).items():
+        picture = lfrender.render(flat, camera, depth, scale=6, detail="off")
+        for suffix in (".jpg", ".webp"):
+            lfrender.write_picture(tmp_path / f"p{suffix}", picture, exposure=0.0)
+            means[name, suffix] = lfcal.read_flat(tmp_path / f"p{suffix}").mean((0, 1))
+    wanted = means["8 bits", ".jpg"]
+    for form, mean in means.items():
+        np.testing.assert_allclose(mean, wanted, rtol=0.02, err_msg=str(form))
+
+
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16, np.float32])
+@pytest.mark.parametrize("tone", ["auto", "linear", "srgb"])
+def test_files_say_whether_values_are_linear(tmp_path, kind, tone):
+    picture = dim(1.0, kind)
+    linear = tone == "linear" or (tone == "auto" and kind is not np.uint8)
+    lfrender.write_picture(tmp_path / "p.tif", picture, tone=tone)
+    embedded = read_metadata(tmp_path / "p.tif")
+    assert is_linear_profile(embedded.icc) == linear
+    with tifffile.TiffFile(tmp_path / "p.tif") as tiff:
+        assert json.loads(tiff.pages.first.description)["tone"] == ("linear" if linear else "srgb")
+    middle = lfcal.read_flat(tmp_path / "p.tif")
+    before = linear_light(picture.image)
+    np.testing.assert_allclose(linear_light(middle, encoded=not linear), before, atol=0.004)
+    if kind is np.float32:
+        return
+    lfrender.write_picture(tmp_path / "p.png", picture, tone=tone)
+    data = (tmp_path / "p.png").read_bytes()
+    gamma = int.from_bytes(data[data.index(b"gAMA") + 4 :][:4], "big")
+    assert (gamma == 100_000) == linear and (b"sRGB" in data) != linear
+
+
+def test_profiles_are_read_by_another_program(tmp_path):
+    from io import BytesIO
+
+    from PIL import Image, ImageCms
+
+    shown = {}
+    for encoded in (False, True):
+        profile = ImageCms.ImageCmsProfile(BytesIO(colour_profile(3, encoded)))
+        change = ImageCms.buildTransform(profile, ImageCms.createProfile("sRGB"), "RGB", "RGB")
+        shown[encoded] = ImageCms.applyTransform(Image.new("RGB", (1, 1), (128, 60, 200)), change)
+    np.testing.assert_allclose(shown[True].getpixel((0, 0)), (128, 60, 200), atol=1)
+    light = linear_light(np.array([128, 60, 200]) / 255, encoded=False)
+    np.testing.assert_allclose(shown[False].getpixel((0, 0)), 255 * encode_srgb(light), atol=2)
+    assert ImageCms.ImageCmsProfile(BytesIO(colour_profile(1, False))).profile.xcolor_space == (
+        "GRAY"
+    )
+
+
+def test_a_flat_with_a_profile_keeps_values_and_profile(tmp_path):
+    profile = ImageCmsProfile(createProfile("sRGB")).tobytes()
+    embedded = EmbeddedMetadata(profile)
+    lfrender.write_picture(tmp_path / "p.jpg", dim(0.5), embedded=embedded)
+    assert lfcal.read_flat(tmp_path / "p.jpg").max() == pytest.approx(128, abs=3)
+    assert read_metadata(tmp_path / "p.jpg").icc == profile
+    lfrender.write_picture(tmp_path / "p.png", dim(0.5), embedded=embedded, tone="linear")
+    assert is_linear_profile(colour_profile(1, False))
+    assert read_metadata(tmp_path / "p.png").icc == b""
+
+
+def test_a_lit_grey_card_behind_filters_is_grey_with_a_white_image(tmp_path):
+    """Usual gains: a sensor sees half as much red, and two thirds as much blue, as green."""
+    sensor = np.array([0.5, 1.0, 0.65])
+    lattice = lfcal.Lattice((10, 10), ((20, 0), (0, 20)), (400, 300), 9.0)
+    y, x = np.mgrid[:300, :400]
+    lit = np.clip(9.5 - np.hypot(x % 20 - 10, y % 20 - 10), 0, 1)
+    colours = sensor[y % 2 + x % 2]
+    noise = np.random.default_rng(0).normal(0, 20, lit.shape)
+    white, card = (
+        np.clip(lit * colours * level + 40 + noise, 0, 65535).astype(np.uint16)
+        for level in (52_000, 21_000)
+    )
+    camera = lfcal.calibrate(white, kind="white", mosaic="RGGB")
+    assert camera.white_balance == pytest.approx(1 / sensor, rel=0.03)
+    assert lfcal.Calibration.from_dict(camera.to_dict()).white_balance == camera.white_balance
+    assert camera.with_mosaic("BGGR").white_balance == camera.white_balance[::-1]
+    assert lattice.pitch == pytest.approx(camera.lattice.pitch, abs=0.05)
+    picture = lfrender.render(card, camera, patch_size=6.0)
+    for suffix in (".jpg", ".png", ".tif"):
+        lfrender.write_picture(tmp_path / f"p{suffix}", picture)
+        light = linear_light(lfcal.read_flat(tmp_path / f"p{suffix}"))[20:-20, 20:-20]
+        mean = light.mean((0, 1))
+        np.testing.assert_allclose(mean, mean.mean(), rtol=0.03, err_msg=suffix)
+    lfrender.write_picture(tmp_path / "raw.tif", picture, white_balance="none")
+    np.testing.assert_array_equal(lfcal.read_flat(tmp_path / "raw.tif"), picture.image)
+    # Without a white image, the average of the picture is made grey.
+    guessed = lfrender.render(card, replace(camera, white_balance=None), patch_size=6.0)
+    lfrender.write_picture(tmp_path / "g.jpg", guessed)
+    mean = linear_light(lfcal.read_flat(tmp_path / "g.jpg")).mean((0, 1))
+    np.testing.assert_allclose(mean, mean.mean(), rtol=0.03)
+    lfrender.write_picture(tmp_path / "b.jpg", guessed, white_balance=(1.0, 1.0, 1.0))
+    assert np.ptp(lfcal.read_flat(tmp_path / "b.jpg").mean((0, 1))) > 20
+
+
+@pytest.mark.parametrize("value", ["red", "1,2", "1,0,1", "1,2,3,4", "1,nan,1"])
+def test_the_white_balance_is_three_gains_or_a_word(value):
+    words = ["render", "flat.png", "-o", "p.png", "--white-balance", value]
+    done = CliRunner().invoke(main, words)
+    assert done.exit_code == 2 and "three gains" in done.stderr

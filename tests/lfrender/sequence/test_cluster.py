@@ -8,6 +8,7 @@ import json
 import os
 import signal
 from contextlib import contextmanager
+from dataclasses import replace
 from itertools import islice
 
 import cv2
@@ -141,12 +142,14 @@ def test_commands_on_large_flats_take_workers_and_a_dark_frame(flat, client, tmp
         for c in (analyzed, rendered)
     ]
     assert figures[1]["tiles"] == 4
+    # Values from which a dark frame can be subtracted are linear.
+    linear = replace(camera, encoded=False)
     with lfcal.open_flat(path, dark=dark) as source:
-        depth = lfrender.analyze_large(source, camera, "fast")
+        depth = lfrender.analyze_large(source, linear, "fast")
     np.testing.assert_array_equal(
         lfrender.DepthMap.load(tmp_path / "depth.npz").patch_size, depth.patch_size
     )
-    whole = lfrender.render(lfcal.subtract_dark(lfcal.read_flat(path), black), camera, depth)
+    whole = lfrender.render(lfcal.subtract_dark(lfcal.read_flat(path), black), linear, depth)
     np.testing.assert_array_equal(lfcal.read_flat(tmp_path / "there.tif"), whole.image)
     refused = CliRunner().invoke(main, [*rendered, "--roi", "0", "0", "9", "9"])
     assert refused.exit_code == 2 and "--roi" in refused.stderr

@@ -18,6 +18,8 @@ from click.testing import CliRunner
 import lfcal
 import lfrender
 from lfrender.cli.main import main
+from lfrender.data.rendering import Rendering
+from lfrender.output.finish import Finish
 from lfrender.sequence.film import render_film
 from lfrender.sequence.film_file import FilmFile
 
@@ -177,7 +179,8 @@ def test_pictures_of_ten_bits_fill_the_range_of_a_film_for_cutting(tmp_path):
     ramp = np.rint(np.linspace(0, 1023, 96)).astype(np.uint16)
     picture = np.repeat(np.tile(ramp, (33, 1))[..., None], 3, 2)
     with FilmFile(tmp_path / "film.mov", Fraction(25)) as film:
-        film.add(picture, 1023)
+        ten = Rendering(picture, np.eye(2, 3), picture[..., 0] > 0, 1.0, 1023.0, encoded=True)
+        film.add(Finish("film.mov").apply(ten).image)
     (frame,) = lfrender.open_frames([tmp_path / "film.mov"])
     there = frame.read()
     assert there.shape == (34, 96, 3) and there.dtype == np.uint16

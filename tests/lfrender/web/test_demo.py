@@ -16,9 +16,9 @@ from ._browser import start_browser
 PICTURES = [
     "all_in_focus",
     "binocular",
+    "depth",
     "flat",
     "flat_crop",
-    "magnification",
     "modes",
     "reference",
     "telescopic",

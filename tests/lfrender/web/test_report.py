@@ -116,7 +116,7 @@ def test_a_depth_map_without_any_depth_has_a_report_too(captured, tmp_path):
     text = Page((tmp_path / "report.html").read_text(encoding="utf-8")).text
     assert "100% of the lenses have no depth of their own" in text
     assert "Nothing was skipped" in text
-    assert "doubtful (confidence 0.20)" in text
+    assert "doubtful (confidence 20 %)" in text
 
 
 def test_pictures_that_do_not_fit_lose_quality_first_and_size_then():
@@ -134,15 +134,15 @@ def test_pictures_that_do_not_fit_lose_quality_first_and_size_then():
     assert len(small["traditional"]) > 0.5 * len(best["traditional"])
 
 
-def test_sixteen_bits_and_one_channel_are_shown(captured):
-    grey = np.full((40, 50), 40000, np.uint16)
+def test_one_channel_is_shown():
+    grey = np.full((40, 50), 156, np.uint8)
     urls, _ = data_urls({"grey": grey}, 10**6)
     import base64
 
     import cv2
 
     data = np.frombuffer(base64.b64decode(urls["grey"].split(",")[1]), np.uint8)
-    np.testing.assert_allclose(cv2.imdecode(data, cv2.IMREAD_COLOR), 40000 / 257, atol=1.5)
+    np.testing.assert_allclose(cv2.imdecode(data, cv2.IMREAD_COLOR), 156, atol=1.5)
 
 
 def test_the_command_writes_a_report_and_its_figures(house_files, captured, tmp_path):

@@ -20,7 +20,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 import lfcal
 import lfrender
 from lfcal.lattice.distortion import Distortion
-from lfcal.runtime.arrays import exposure_gain, to_eight_bits
+from lfcal.runtime.tone import apply_tone, exposure_gain, to_eight_bits
 from lfrender.cli.main import main
 from lfrender.data.depth_map import DepthMap
 from lfrender.data.surface import Surface
@@ -77,6 +77,15 @@ def test_everything_in_focus_and_tiles_are_those_of_the_renderer(page, captured)
     # Not the flat that blended pictures read.
     sharpened = lfrender.render(prefilter_flat(flat), camera, patch_size=FAR)
     assert np.mean(off(page, sharpened, mode="tiles", plane=FAR) <= 2) < 0.9
+
+
+def test_brightness_is_a_factor_on_light(page, captured):
+    flat, camera, depth = captured
+    picture = lfrender.render(flat, camera, depth, detail="off")
+    for stops in (1.0, -2.0):
+        brighter = apply_tone(picture.image, np.uint8, True, gain=2.0**stops)
+        difference = off(page, replace(picture, image=brighter), mode="sharp", brightness=stops)
+        assert np.mean(difference <= 3) > 0.999
 
 
 def test_a_view_from_aside_is_that_of_the_renderer(page, captured):

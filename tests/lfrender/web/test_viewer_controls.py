@@ -121,7 +121,7 @@ def test_a_range_is_sharp_within_and_out_of_focus_beyond(page, captured):
     assert np.mean(np.abs(far - beyond).max(-1)[outside] <= 2) > 0.95
 
 
-def test_magnification_is_laid_over_the_picture_with_its_legend(page):
+def test_depth_is_laid_over_the_picture_with_its_legend(page):
     page.find_element("id", "overlay").click()
     assert settings(page)["overlay"] == 0.6 and page.find_element("id", "legend").is_displayed()
     assert np.abs(picture(page) - picture(page, overlay=0)).mean() > 10  # grey levels
