@@ -199,6 +199,8 @@ def _page(
     alpha: bool = False,
 ) -> _Described:
     """Pixels and JSON text of a picture, if the format of `path` can hold them."""
+    if np.ma.is_masked(picture):
+        raise PictureError(f"{path}: a picture has no masked pixels; fill them in first")
     shown = finish.apply(picture)
     changed = False
     if isinstance(picture, Rendering):

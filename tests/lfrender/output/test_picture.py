@@ -160,3 +160,9 @@ def test_a_stack_in_a_picture_format_without_pages_is_numbered(tmp_path, renderi
     np.testing.assert_array_equal(read_flat(paths[1]), rendering.image[::-1])
     with pytest.raises(PictureError, match="at least one"):
         write_stack(tmp_path / "none.tif", [])
+
+
+def test_a_masked_picture_is_refused_rather_than_written_without_its_mask(tmp_path, rendering):
+    with pytest.raises(PictureError, match="masked pixels"):
+        write_picture(tmp_path / "picture.tif", np.ma.masked_less(rendering.image, 9))
+    assert not list(tmp_path.iterdir())
