@@ -108,7 +108,7 @@ def main(arguments: list[str]) -> None:
 
     for name, flat, camera in captures():
         for form, pixels in _forms(flat, rng):
-            check = lfcal.check_camera(camera, pixels)
+            check = lfcal.check_camera(pixels, camera)
             problem = check.problem
             count["right"] += 1
             count["right: said that no microimages can be seen"] += not check.checked
@@ -120,7 +120,7 @@ def main(arguments: list[str]) -> None:
                     count["the same lattice"] += 1
                     continue
                 count[f"wrong: {kind}"] += 1
-                check = lfcal.check_camera(wrong, pixels)
+                check = lfcal.check_camera(pixels, wrong)
                 if not check.checked:
                     count["wrong: said that no microimages can be seen"] += 1
                 elif check.problem is None:

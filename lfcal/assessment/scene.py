@@ -45,7 +45,7 @@ def assess_scene(scene: NDArray[Any], camera: Calibration, top: float | None) ->
 
 
 def _find_shift(scene: NDArray[Any], camera: Calibration) -> Finding:
-    check = check_camera(camera, scene)
+    check = check_camera(scene, camera)
     fit = check_fit(camera, scene)
     if not check.checked or np.isnan(fit.max_offset):
         return unmeasured(

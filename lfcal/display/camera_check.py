@@ -6,6 +6,7 @@ A camera whose gain map matches the average cells of all parts of the flat is co
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -73,15 +74,15 @@ class CameraCheck:
 
 # The equations are too small for more threads to pay off.
 @threadpool_limits.wrap(limits=1, user_api="blas")
-def check_camera(calibration: Calibration, image: ArrayLike) -> CameraCheck:
+def check_camera(flat: ArrayLike, calibration: Calibration) -> CameraCheck:
     """Check whether a flat can have been made with a camera, in about a tenth of a second.
 
     The check finds turned or mirrored flats, shifts of more than a tenth of the pitch, pitches that
     are wrong by more than 0.25 %, another array, and lens types in another order. A flat without a
     visible lattice, such as a dark one, cannot be checked (`CameraCheck.checked`).
 
-    `image` (h, w) or (h, w, 3) is a white image or any scene capture. FlatError if it has another
-    size.
+    `flat` (h, w) or (h, w, 3) is a white image or any scene capture. FlatError if it has another
+    size than those of the camera. The earlier order, with the camera first, is deprecated.
 
     Examples
     --------
@@ -90,12 +91,15 @@ def check_camera(calibration: Calibration, image: ArrayLike) -> CameraCheck:
     >>> y, x = np.mgrid[:300, :400]
     >>> white = 20 + 200 * np.clip(9.5 - np.hypot(x % 20 - 10, y % 20 - 10), 0, 1)
     >>> camera = Calibration(Lattice([4, 10], [[20, 0], [0, 20]], (400, 300), 9))
-    >>> check_camera(camera, white).problem[:19]
+    >>> check_camera(white, camera).problem[:19]
     'the microimages lie'
     """
     from .confirmation import confirms_camera
 
-    reduced = prepare_flat(calibration, image)
+    if isinstance(flat, Calibration):
+        warnings.warn("call check_camera(flat, calibration)", DeprecationWarning, stacklevel=3)
+        flat, calibration = calibration, flat  # type: ignore[assignment]
+    reduced = prepare_flat(calibration, flat)
     lattice = calibration.lattice
     if confirms_camera(calibration, lattice.downscaled(reduced.factor), reduced.picture):
         return CameraCheck(problem=_find_type_conflict(calibration, reduced.flat))
@@ -132,7 +136,7 @@ def choose_orientation(down: Calibration, up: Calibration, image: ArrayLike) -> 
     """The reading of a table of centres, with y pointing down or up, that an image confirms."""
     right = [
         check.checked and check.problem is None
-        for check in (check_camera(one, image) for one in (down, up))
+        for check in (check_camera(image, one) for one in (down, up))
     ]
     index = up.lattice.to_index(down.lattice.centres())
     if right[0] != right[1] or np.abs(index - np.rint(index)).max() < MOST_STRETCH:

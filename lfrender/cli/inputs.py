@@ -350,7 +350,7 @@ def _agrees(calibration: Calibration, pixels: NDArray[Any]) -> bool:
 
     return (
         calibration.image_size == pixels.shape[1::-1]
-        and check_camera(calibration, pixels).problem is None
+        and check_camera(pixels, calibration).problem is None
     )
 
 
@@ -381,7 +381,7 @@ def _read_camera(path: Path, pixels: NDArray[Any] | FlatSource) -> Calibration:
         shown = replace(
             calibration, lattice=crop_lattice(calibration.lattice, low, high), gain_map=None
         )
-    check = check_camera(shown, part)
+    check = check_camera(part, shown)
     if check.adjusted is not None and is_published(path) and part is pixels:
         warning = (
             "as published, the lattice lies beside the microimages, as in crops of a "

@@ -111,7 +111,7 @@ TABLE = {
     "animation": _row(
         "--animation",
         click.IntRange(2),
-        "N views around a circle; 24 where the output is .gif, .mp4, .mov or .mkv.",
+        "N views around a circle; 24 where the output is .gif, .webp, .mp4, .mov or .mkv.",
         "N",
     ),
     "quilt": _row(

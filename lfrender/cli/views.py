@@ -155,7 +155,8 @@ def views(capture: CaptureInput, given: Any) -> None:
     report = capture.report
     output = given.output
     still = given.grid or given.stereo or given.quilt or given.poses
-    if given.animation is None and output.suffix.lower() in MOVING and not still:
+    moves = output.suffix.lower() in (*MOVING, ".webp") and not output.is_dir()
+    if given.animation is None and moves and not still:
         given.animation = _PICTURES
     given.suffix = f".{given.suffix.lstrip('.').lower()}"
     _check_views(given)

@@ -128,7 +128,7 @@ def _check_white(capture: CaptureInput, calibration: Calibration, pixels: Any) -
 
     if capture.white is None:
         return
-    problem = check_camera(calibration, pixels).problem
+    problem = check_camera(pixels, calibration).problem
     if problem is not None:
         raise CalibrationError(f"{capture.white}: is the white image of another camera: {problem}")
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ import lfcal
 
 
 def test_shift_of_a_third_of_the_pitch_is_noticed_and_undone(white, angle=220):
-    check = lfcal.check_camera(white.moved([20.3 / 3, 0] @ white.turn(angle)), white.image)
+    check = lfcal.check_camera(white.image, white.moved([20.3 / 3, 0] @ white.turn(angle)))
     assert check.fits and "6.8 px" in check.problem
     away = white.camera.lattice.to_index(check.adjusted.lattice.origin[None])[0]
     assert np.linalg.norm((away - np.rint(away)) @ white.camera.lattice.basis) < 0.05
@@ -17,13 +19,13 @@ def test_shift_of_a_third_of_the_pitch_is_noticed_and_undone(white, angle=220):
 
 @pytest.mark.parametrize("scale", [1.005, 1 / 1.005])
 def test_pitch_half_a_percent_off_is_noticed(white, scale):
-    check = lfcal.check_camera(white.moved(change=scale * np.eye(2)), white.image)
+    check = lfcal.check_camera(white.image, white.moved(change=scale * np.eye(2)))
     assert f"{100 * (1 / scale - 1):+.1f}"[:4] in check.problem
 
 
 def test_scale_that_moves_corners_by_a_fortieth_of_the_pitch_is_noticed(white):
     scale = 1 + 0.045 * 20.3 / np.hypot(*white.middle)
-    problem = lfcal.check_camera(white.moved(change=scale * np.eye(2)), white.image).problem
+    problem = lfcal.check_camera(white.image, white.moved(change=scale * np.eye(2))).problem
     assert problem is not None and "the lattice is off by up to 0.9 px" in problem
 
 
@@ -31,17 +33,17 @@ def test_turned_and_mirrored_flats_are_noticed(whites):
     basis = whites.turned(whites.HEXAGON, 20.3, 3)
     image, origin = whites.white_image(basis, (360, 360))
     camera = lfcal.Calibration(lfcal.Lattice(origin, basis, (360, 360), 9.0))
-    turned = lfcal.check_camera(camera, np.rot90(image).copy())
+    turned = lfcal.check_camera(np.rot90(image).copy(), camera)
     assert not turned.fits and "rows" in turned.problem
-    assert lfcal.check_camera(camera, image[:, ::-1].copy()).problem is not None
+    assert lfcal.check_camera(image[:, ::-1].copy(), camera).problem is not None
 
 
 def test_published_calibration_of_the_whole_sensor_serves_a_crop(shared):
     flat = lfcal.read_flat(shared("captures", "R42_crop.png"))
     check = lfcal.check_camera(
-        lfcal.load(shared("captures", "R42_crop.published.xml"), flat.shape[1::-1]), flat
+        flat, lfcal.load(shared("captures", "R42_crop.published.xml"), flat.shape[1::-1])
     )
-    assert check.fits and lfcal.check_camera(check.adjusted, flat).problem is None
+    assert check.fits and lfcal.check_camera(flat, check.adjusted).problem is None
 
 
 def test_another_camera_of_the_same_kind_is_noticed_by_all_checks(shared):
@@ -49,4 +51,12 @@ def test_another_camera_of_the_same_kind_is_noticed_by_all_checks(shared):
     other = lfcal.load(shared("captures", "Fujita2.other_camera.json"))
     found = lfcal.check_fit(other, flat)
     assert 0.8 < found.max_offset < 1.1
-    assert lfcal.check_camera(other, flat).problem == found.warning is not None
+    assert lfcal.check_camera(flat, other).problem == found.warning is not None
+
+
+def test_the_earlier_order_of_arguments_is_deprecated(white):
+    with pytest.warns(DeprecationWarning, match=r"call check_camera\(flat, calibration\)"):
+        before = lfcal.check_camera(white.camera, white.image)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert lfcal.check_camera(white.image, white.camera) == before

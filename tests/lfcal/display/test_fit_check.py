@@ -13,7 +13,7 @@ def test_right_camera_agrees_to_a_hundredth_of_a_pixel_and_has_no_problem(white)
     assert (
         found.max_offset < 0.01 and found.warning is None and "no reason to worry" in found.verdict
     )
-    check = lfcal.check_camera(white.camera, white.image)
+    check = lfcal.check_camera(white.image, white.camera)
     assert check.fits and check.checked and check.problem is None and check.adjusted is None
 
 
@@ -45,7 +45,7 @@ def test_flat_without_microimages_shows_nothing_and_that_is_known(white):
     rng = np.random.default_rng(3)
     nothing = lfcal.check_fit(camera, rng.integers(0, 255, (500, 600)).astype(np.uint8))
     assert np.isnan(nothing.max_offset) and nothing.warning is None
-    check = lfcal.check_camera(camera, rng.integers(0, 5, (500, 600)).astype(np.uint8))
+    check = lfcal.check_camera(rng.integers(0, 5, (500, 600)).astype(np.uint8), camera)
     assert check.problem is None and not check.checked
 
 
@@ -53,7 +53,7 @@ def test_flat_without_microimages_shows_nothing_and_that_is_known(white):
 def test_even_grey_shows_nothing_and_that_is_known(white, grey):
     even = np.full_like(white.image, grey)
     assert np.isnan(lfcal.check_fit(white.camera, even).max_offset)
-    check = lfcal.check_camera(white.camera, even)
+    check = lfcal.check_camera(even, white.camera)
     assert not check.checked and check.problem is None
     assert "neither dark nor saturated" in check.warn(white.camera, "a.json").warnings[-1]
 

@@ -17,7 +17,7 @@ CAMERA = Calibration(Lattice([10, 10], [[20, 0], [0, 20]], (400, 300), 9))
 @pytest.mark.parametrize(
     "call",
     [
-        lambda wrong: lfcal.check_camera(wrong, FLAT),
+        lambda wrong: lfcal.check_camera(FLAT, wrong),
         lambda wrong: lfcal.check_fit(wrong, FLAT),
         lambda wrong: lfcal.show(wrong, FLAT),
         lambda wrong: lfcal.compare(CAMERA, wrong),
@@ -45,7 +45,7 @@ FIGURES = {"origin": [10, 10], "basis": [[20, 0], [0, 20]], "image_size": (400, 
     ("name", "call"),
     [
         ("image|^text: cannot be read", lfcal.calibrate),
-        ("image", lambda wrong: lfcal.check_camera(CAMERA, wrong)),
+        ("image", lambda wrong: lfcal.check_camera(wrong, CAMERA)),
         ("image", lambda wrong: lfcal.check_fit(CAMERA, wrong)),
         ("image", lambda wrong: lfcal.show(CAMERA, wrong)),
         ("kind", lambda wrong: lfcal.calibrate(FLAT, wrong)),

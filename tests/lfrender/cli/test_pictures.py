@@ -180,6 +180,9 @@ def test_the_suffix_decides_whether_views_and_focus_move(ask, tmp_path, run, ass
     assert_refused(
         run(*ask("views", "-o", tmp_path / "v.png")), "--stereo, --animation N or --quilt"
     )
+    assert run(*ask("views", "--scale", "2", "-o", tmp_path / "v.webp")).exit_code == 0
+    with Image.open(tmp_path / "v.webp") as moving:
+        assert moving.n_frames == 24
     assert_refused(run(*ask("refocus", "--at", 9, 9, "-o", tmp_path / "f.gif")), "several depths")
     quilt = run(*ask("views", "--quilt", "3x2", "--scale", "3", "-o", tmp_path / "quilt.png"))
     assert quilt.exit_code == 0 and (tmp_path / "quilt.png").exists()
