@@ -46,6 +46,13 @@ def to_display(picture: Rendering) -> Array:
     return Finish("picture.webp").apply(picture).image
 
 
+def _check_gains(gains: Any) -> None:
+    """Raise a ValueError unless a white balance is three positive gains."""
+    if isinstance(gains, str) or len(gains) != 3 or not min(gains) > 0:
+        wanted = "'auto', 'none' or three positive gains"
+        raise ValueError(f"white_balance must be {wanted}, got {gains!r}")
+
+
 class Finish:
     """Finishes all pictures of a result in the same way, as the first one needs it.
 
@@ -84,6 +91,8 @@ class Finish:
         if exposure is None and not self._format.display:
             exposure = 0.0
         check_choice(tone, Tone, "tone")
+        if white_balance not in ("auto", "none"):
+            _check_gains(white_balance)
         self._exposure = exposure
         self._tone = tone
         self._white_balance = white_balance

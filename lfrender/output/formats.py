@@ -21,11 +21,11 @@ import numpy as np
 
 from lfcal import LightFieldError, OutputError
 from lfcal.runtime.arrays import Array, Floats
-from lfcal.runtime.colour_profile import colour_profile
 from lfcal.runtime.output_file import check_output
 from lfcal.runtime.packages import check_package
 
 from ..data.dense_depth import write_exr
+from ..runtime.colour_profile import colour_profile
 from ..runtime.types import AnyPath
 
 __all__ = [

@@ -12,13 +12,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lfcal.runtime.arrays import Array, Booleans, Floats, white_of
-from lfcal.runtime.colour_profile import is_linear_profile
 from lfcal.runtime.errors import check_type
 from lfcal.runtime.output_file import atomic_write, refuse_leftovers
 from lfcal.runtime.tone import Exposure, WhiteBalance
 
 from ..data.rendering import Rendering
 from ..runtime.choices import Tone
+from ..runtime.colour_profile import is_linear_profile
 from ..runtime.types import AnyPath
 from .finish import Finish
 from .formats import FORMATS, EmbeddedMetadata, Page, PictureError, check_format

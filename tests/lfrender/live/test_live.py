@@ -10,6 +10,7 @@ import signal
 import socket
 import threading
 import time
+from dataclasses import replace
 from urllib.parse import urlsplit
 
 import cv2
@@ -225,9 +226,11 @@ def test_a_dark_frame_is_subtracted_from_live_pictures_and_not_from_recordings(
     lifted = np.minimum(house.flat, 239) + np.uint8(16)
     tifffile.imwrite(tmp_path / "dark.tif", np.full(lifted.shape[:2], 16, np.uint8))
     source = Camera(lifted)
+    # As the commands take it: a dark frame is subtracted from linear values.
+    linear = replace(camera, encoded=False)
     live = Session(
         Grabber(source),
-        lambda shot: camera,
+        lambda shot: linear,
         "fast",
         tmp_path,
         given=True,

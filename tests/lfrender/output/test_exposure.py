@@ -16,12 +16,12 @@ from PIL.ImageCms import ImageCmsProfile, createProfile
 
 import lfcal
 import lfrender
-from lfcal.runtime.colour_profile import colour_profile, is_linear_profile
 from lfcal.runtime.tone import apply_tone, encode_srgb, exposure_gain, linear_light
 from lfrender.cli.main import main
 from lfrender.data.rendering import Rendering
 from lfrender.output.formats import EmbeddedMetadata, read_metadata
 from lfrender.output.views import write_grid
+from lfrender.runtime.colour_profile import colour_profile, is_linear_profile
 
 
 def dim(brightest=0.04, kind=np.uint16):
@@ -275,6 +275,14 @@ def test_a_lit_grey_card_behind_filters_is_grey_with_a_white_image(tmp_path):
     np.testing.assert_allclose(mean, mean.mean(), rtol=0.03)
     lfrender.write_picture(tmp_path / "b.jpg", guessed, white_balance=(1.0, 1.0, 1.0))
     assert np.ptp(lfcal.read_flat(tmp_path / "b.jpg").mean((0, 1))) > 20
+
+
+@pytest.mark.parametrize("value", ["red", (1.0, 2.0), (1.0, 0.0, 1.0)])
+def test_a_wrong_white_balance_or_tone_of_python_is_named(tmp_path, value):
+    with pytest.raises(ValueError, match="white_balance must be"):
+        lfrender.write_picture(tmp_path / "p.png", dim(), white_balance=value)
+    with pytest.raises(ValueError, match="tone must be one of auto, linear, srgb"):
+        lfrender.write_picture(tmp_path / "p.png", dim(), tone="log")
 
 
 @pytest.mark.parametrize("value", ["red", "1,2", "1,0,1", "1,2,3,4", "1,nan,1"])
