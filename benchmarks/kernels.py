@@ -38,6 +38,9 @@ def discard_outdated() -> int:
             ):
                 if index.stat().st_mtime < max(file.stat().st_mtime for file in _needed(source)):
                     index.unlink(missing_ok=True)
+                    # Its checksums too: the next kernel has others.
+                    record = index.with_name(f"{index.name.partition('-')[0]}.crc.json")
+                    record.unlink(missing_ok=True)
                     count += 1
     return count
 

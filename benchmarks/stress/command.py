@@ -128,18 +128,13 @@ def _files(damages: int, kills: int) -> list[str]:
     with tempfile.TemporaryDirectory() as folder:
         tried, faults = fuzz(Path(folder), range(damages))
         print(f"files        {tried} damaged files, {len(faults)} not refused in order", flush=True)
-        command = [
-            sys.executable,
-            "-m",
-            "benchmarks.stress.write_faults",
-            str(Path(folder) / "kill"),
-            str(kills),
-        ]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        print(
-            f"files        {kills} kills of each writer, full disk: {done.stdout.strip()}",
-            flush=True,
-        )
-    return [str(fault) for fault in faults] + (
-        [done.stdout + done.stderr] if done.returncode else []
-    )
+        broken = [str(fault) for fault in faults]
+        # In processes of their own: the memory of one is measured, the other must have no threads.
+        for module, number in (("file_values", damages), ("write_faults", kills)):
+            command = [sys.executable, "-m", f"benchmarks.stress.{module}"]
+            command += [str(Path(folder) / module), str(number)]
+            done = subprocess.run(command, capture_output=True, text=True, check=False)
+            print(f"files        {module}, {number} each: {done.stdout.strip()}", flush=True)
+            if done.returncode:
+                broken.append(done.stdout + done.stderr)
+    return broken

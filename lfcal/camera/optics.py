@@ -229,6 +229,9 @@ class Optics(Frozen):
         if self.covariance is not None:
             # Steps along the principal axes of the covariance move F, L and b together.
             scale = self.standard_errors
+            if (_STEP * scale[:3] >= self.parameters[:3]).any():
+                # The lengths are not known at all.
+                return np.where(np.isnan(variance), np.nan, np.inf)
             inverse = np.divide(1, scale, out=np.zeros_like(scale), where=scale > 0)
             values, axes = np.linalg.eigh(self.covariance * np.outer(inverse, inverse))
             known = values > values[-1] * 1e-15

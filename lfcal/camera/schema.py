@@ -35,6 +35,8 @@ _NAMES_IN_FILES = {
     "lens_gain": "own",
     "shading": "shade",
 }
+# Least usable radius over the distance of neighbours; closed apertures of simulations have 0.1.
+_LEAST_RADIUS = 0.05
 # Largest relative difference of the pitch in a file, which has few digits at times, from its basis.
 _PITCH_ERROR = 0.01
 
@@ -176,6 +178,9 @@ def check_plausible(lattice: Lattice) -> None:
         size = "{} x {}".format(*lattice.image_size)
         raise _misfit("lattice.basis", f"microimages {apart} do not fit a flat of {size} px")
     _check_lengths(lattice, {"lattice.radius": lattice.radius})
+    # Apertures that leave less light show no scene.
+    if lattice.radius < _LEAST_RADIUS * steps.min():
+        raise _misfit("lattice.radius", f"no lens has {lattice.radius:.6g} px in {steps.min():.6g}")
     if bend is not None and np.abs(bend.centre).max() > 100 * side:
         raise _misfit("lattice.distortion.centre", f"{bend.centre.tolist()} is far off the flat")
     if bend is not None and not side / 100 < bend.reach < 100 * side:

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from zipfile import ZipFile
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lfcal import LensBlur, LightFieldError
 from lfcal.runtime.arrays import Array, Singles
@@ -63,51 +62,51 @@ _BORDER = 2
 # A surface has the wrong sign if it differs from its negated patch sizes by this share of what it
 # differs from them. On seven captures right ones have at least 30, negated ones at most 0.033.
 _NEGATED = 0.2
-_SIDE = (1, 2**31 - 1)
-_FLOAT = "fiu"
 
 
 class _Column(NamedTuple):
     """An array or a number of a file."""
 
     kinds: str  # of `dtype.kind`
-    axes: tuple[int | str, ...] = ()  # lengths; equal letters are equal lengths
+    axes: str = ""  # equal letters are equal lengths, digits are lengths
     least: float = -np.inf
-    most: float = np.inf
+    most: float = np.inf  # of texts the length
     gaps: bool = False  # whether NaN is allowed
 
 
-_LENSES = _Column(_FLOAT, ("n",), gaps=True)
+_NUMBERS = _Column("fiu", "n", gaps=True)
+_FLAGS = _Column("b", "n")
+_TEXT = _Column("U", most=1e6)
+_PLACES = (-1e9, 1e9)
 _SCHEMA = {
-    "version": _Column("iu"),
-    "pitch": _Column(_FLOAT, (), 1, _SIDE[1]),
-    "image_size": _Column("iu", (2,), *_SIDE),
-    "patch_size": _LENSES,
-    "standard_error": _Column(_FLOAT, ("n",), 0),
-    "confidence": _Column(_FLOAT, ("n",), 0, 1),
-    "drawn": _Column(_FLOAT, ("n",)),
-    "surface": _Column(_FLOAT, ("rows", "columns")),
-    "surface_first": _Column(_FLOAT, (2,), -1e9, 1e9),
-    "surface_spacing": _Column(_FLOAT, (), 1e-9, 1e9),
-    "preset": _Column("U", (), 1, 100),
-    "reason": _Column("iu", ("n",), 0, 4),
-    "mode": _Column("iu", ("n",), -1, 1),
-    "magnification": _LENSES,
-    "filled": _Column("b", ("n",)),
-    "saved_by": _Column("U", ("shortcuts",)),
+    "pitch": _Column("fiu", "", 1, 1e9),
+    "image_size": _Column("iu", "2", 1, 1e9),
+    "patch_size": _NUMBERS,
+    "standard_error": _Column("fiu", "n", 0),
+    "confidence": _Column("fiu", "n", 0, 1),
+    "drawn": _NUMBERS,
+    "surface": _Column("fiu", "yx"),
+    "surface_first": _Column("fiu", "2", *_PLACES),
+    "surface_spacing": _Column("fiu"),
+    "preset": _Column("U", "", 1, 100),
+    "reason": _Column("iu", "n", 0, 4),
+    "mode": _Column("iu", "n"),
+    "magnification": _NUMBERS,
+    "filled": _FLAGS,
+    "saved_by": _Column("U", "s"),
     # A sum of shares of tiles may be a rounding error above 1.
-    "saved": _Column(_FLOAT, ("shortcuts",), 0, 1.01),
-    "flat_samples": _Column(_FLOAT, ("samples",), -1e9, 1e9),
-    "centres": _Column(_FLOAT, ("n", 2), -1e9, 1e9),
-    "camera": _Column("U", (), 0, 100),
-    "lens_blur": _Column("U", (), 0, 1e6),
-    "kept": _Column("b", ("n",)),
-    "kept_cost": _LENSES,
-    "kept_offset": _LENSES,
-    "kept_error": _LENSES,
-    "kept_clear": _Column("b", ("n",)),
-    "kept_textured": _Column("b", ("n",)),
-    "digest": _Column("U", (), 0, 100),
+    "saved": _Column("fiu", "s", 0, 1.01),
+    "flat_samples": _Column("fiu", "m", *_PLACES),
+    "centres": _Column("fiu", "n2", *_PLACES),
+    "camera": _TEXT,
+    "lens_blur": _TEXT,
+    "kept": _FLAGS,
+    "kept_cost": _NUMBERS,
+    "kept_offset": _NUMBERS,
+    "kept_error": _NUMBERS,
+    "kept_clear": _FLAGS,
+    "kept_textured": _FLAGS,
+    "digest": _TEXT,
 }
 
 
@@ -217,22 +216,17 @@ def camera_digest(image_size: Size, pitch: float, centres: Singles) -> str:
 
 def check_extent(depth: DepthMap) -> None:
     """DepthFileError if the surface is not a grid over the flat, or over a part that was asked."""
-    surface = depth.surface
-    border = max(_BORDER * depth.pitch, surface.spacing)
-    first = np.array(surface.first)
-    beyond = surface.last - np.array(depth.image_size) + 1
-    inside = (first >= -border).all() and (beyond <= border).all()
-    covers = (first <= border).all() and (beyond >= -border).all()
+    first = np.array(depth.surface.first)
+    beyond = depth.surface.last - np.array(depth.image_size) + 1
+    border = max(_BORDER * depth.pitch, depth.surface.spacing)
+    inside = max(-first.min(), beyond.max()) <= border
+    covers = max(first.max(), -beyond.min()) <= border
     # The depth of a region of interest has the surface of that region.
     if not inside or not (covers or "roi" in depth.saved):
+        size = "{} x {}".format(*depth.image_size)
         raise DepthFileError(
-            f"the surface of the depth map reaches from {_place(first)} to {_place(surface.last)}, "
-            f"not over the flat of {depth.image_size[0]} x {depth.image_size[1]} px; analyze again"
+            f"the surface of the depth map lies not over the flat of {size} px; analyze again"
         )
-
-
-def _place(point: NDArray[np.floating]) -> str:
-    return "({:.6g}, {:.6g})".format(*point)
 
 
 def _digest(arrays: dict[str, Any]) -> str:
@@ -247,20 +241,16 @@ def _digest(arrays: dict[str, Any]) -> str:
 
 def _check_columns(data: dict[str, Array]) -> None:
     """ValueError if an array of a file has another type, shape or range than those of `_SCHEMA`."""
-    lengths: dict[str, int] = {}
+    lengths = {"2": 2}
     for name, column in _SCHEMA.items():
         values = data.get(name)
         # Empty arrays of files of earlier versions stand for unknown ones.
         if values is None or (name in _OPTIONAL and not values.size):
             continue
-        shape = tuple(
-            axis if isinstance(axis, int) else lengths.setdefault(axis, length)
-            for axis, length in zip(column.axes, values.shape, strict=False)
-        )
-        if (
-            values.dtype.kind not in column.kinds
-            or values.shape != shape + column.axes[len(shape) :]
-        ):
+        axes = zip(column.axes, values.shape, strict=False)
+        shape = tuple(lengths.setdefault(axis, length) for axis, length in axes)
+        fits = values.ndim == len(column.axes) and values.shape == shape
+        if not fits or values.dtype.kind not in column.kinds:
             raise ValueError(f"{name} cannot be {values.dtype} of shape {values.shape}")
         if column.kinds == "U":
             # Texts that cannot be encoded cannot be printed.

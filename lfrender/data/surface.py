@@ -88,14 +88,12 @@ class Surface(Frozen):
     spacing: float
 
     def __post_init__(self) -> None:
-        if np.ndim(self.patch_size) != 2 or np.size(self.patch_size) == 0:
-            raise ValueError(
-                f"patch sizes of a surface must be rows and columns, got {np.shape(self.patch_size)}"
-            )
         place = np.array([*self.first, self.spacing], np.float64)
-        if place.shape != (3,) or not np.isfinite(place).all() or self.spacing <= 0:
+        is_grid = np.ndim(self.patch_size) == 2 and np.size(self.patch_size) > 0
+        if not is_grid or not np.isfinite(place).all() or self.spacing <= 0:
             raise ValueError(
-                f"first and spacing of a surface must be finite, got {self.first}, {self.spacing}"
+                "a surface has rows and columns, a finite place and a positive spacing, got "
+                f"{np.shape(self.patch_size)}, {self.first} and {self.spacing}"
             )
 
     def __repr__(self) -> str:

@@ -49,6 +49,7 @@ def data():
         ("lattice.radius", 1e6),
         ("lattice.radius", 60.0),
         ("lattice.radius", 0),
+        ("lattice.radius", 0.5),
         ("lattice.radius", "9.5"),
         ("lattice.origin", [float("nan"), 12.0]),
         ("lattice.origin", [None, 12.0]),

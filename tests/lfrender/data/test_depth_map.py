@@ -96,10 +96,10 @@ def _altered(depth, **changed):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda d: _altered(d, patch_size=d.surface.patch_size[:1, :1]), "not over the flat"),
+        (lambda d: _altered(d, patch_size=d.surface.patch_size[:1, :1]), "lies not over the flat"),
         (
             lambda d: _altered(d, patch_size=np.resize(d.surface.patch_size, (3000, 3000))),
-            "not over the flat",
+            "lies not over the flat",
         ),
         (lambda d: _altered(d, patch_size=-d.surface.patch_size), "surface contradicts"),
         (lambda d: replace(d, patch_size=-d.patch_size), "drawn contradicts"),
@@ -180,7 +180,9 @@ def test_a_depth_map_of_another_camera_of_the_same_size_is_not_drawn(analysed):
     with pytest.raises(CalibrationError, match="another camera"):
         lfrender.render(flat, replace(camera, lattice=lattice), analysed)
     for wrong in (replace(analysed, pitch=30.0), _altered(analysed, spacing=0.1)):
-        with pytest.raises((CalibrationError, DepthFileError), match=r"camera|not over the flat"):
+        with pytest.raises(
+            (CalibrationError, DepthFileError), match=r"camera|lies not over the flat"
+        ):
             lfrender.render(flat, camera, wrong)
 
 

@@ -134,3 +134,11 @@ def test_numbers_of_many_digits_are_refused_in_one_short_line(tmp_path, field):
     with pytest.raises(CameraFileError, match=f"{field.removesuffix('_mm')} must be") as caught:
         Optics.load(path)
     assert len(str(caught.value)) < 400 and "\n" not in str(caught.value)
+
+
+def test_distances_of_lengths_that_are_not_known_have_infinite_errors():
+    covariance = np.zeros((14, 14))
+    covariance[1, 1] = 1e12
+    optics = replace(optics_of(CAMERA), covariance=covariance)
+    errors = optics.distance_error([-0.3, np.nan], [0.01, 0.01])
+    np.testing.assert_array_equal(errors, [np.inf, np.nan])
