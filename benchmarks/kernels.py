@@ -3,7 +3,7 @@
 `python -m benchmarks.kernels [--record]`. Numba compiles a kernel again if its own file changes,
 but not if it calls a function of another file that changes. Tests and benchmarks delete such
 kernels first. `--record` writes the list of kernels that the first command compiles
-(`lfcal/runtime/signatures.json`).
+(`lfcal/runtime/compilation/signatures.json`).
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def _record() -> None:
     """Compile the kernels for flats of each kind in an empty cache, and write their list."""
     import lfcal
     import lfrender
-    from lfcal.runtime.compile_ahead import SIGNATURE_FILE
+    from lfcal.runtime.compilation.compile_ahead import SIGNATURE_FILE
     from lfrender.web.report_pictures import draw_pictures
 
     from .first_run import CAPTURES, KINDS, simulate_kind
@@ -117,7 +117,7 @@ def _record() -> None:
 
 
 def encode_type(kind: Any) -> Any:
-    """A type of Numba as `lfcal.runtime.compile_ahead.decode_type` reads it."""
+    """A type of Numba as `lfcal.runtime.compilation.compile_ahead.decode_type` reads it."""
     from numba import types
 
     if isinstance(kind, types.Array):

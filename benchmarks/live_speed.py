@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 import lfcal
 import lfrender
-from lfcal.runtime.tone import to_eight_bits
+from lfcal.runtime.light.tone import to_eight_bits
 from lfrender.live.grabber import Grabber
 from lfrender.live.server import LiveServer
 from lfrender.live.session import Session

@@ -37,7 +37,7 @@ def pytest_sessionstart(session):
     ):
         return
     from benchmarks.kernels import discard_outdated
-    from lfcal.runtime.compile_ahead import compile_ahead
+    from lfcal.runtime.compilation.compile_ahead import compile_ahead
 
     discard_outdated()
     compile_ahead()

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..runtime.arrays import ENOUGH_PIXELS, evenly
 from ..runtime.errors import FlatError
 from ..runtime.image_formats import MOSAICS, Mosaic
-from ..runtime.tone import balance_of, linear_light
+from ..runtime.light.tone import balance_of, linear_light
 
 __all__ = ["balance_mosaic", "check_mosaic", "equalise_mosaic", "find_mosaic", "remove_mosaic"]
 

@@ -23,7 +23,7 @@ from threadpoolctl import threadpool_limits
 from ..camera.calibration import Calibration
 from ..camera.lens_types import LensBlur
 from ..lattice.lattice import Lattice
-from ..runtime.transfer import disc_transfer
+from ..runtime.light.transfer import disc_transfer
 
 __all__ = ["measure_lens_blur"]
 

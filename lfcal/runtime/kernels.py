@@ -24,7 +24,7 @@ from typing import Any
 
 import numba
 
-from .kernel_cache import record_checksums, remove_damaged
+from .compilation.kernel_cache import record_checksums, remove_damaged
 
 __all__ = ["FAST", "kernel", "share_out", "square"]
 

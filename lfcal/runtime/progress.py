@@ -86,7 +86,7 @@ def show_progress(progress: Progress, name: str) -> Iterator[Step]:
 
 def _compile_kernels(display: ProgressDisplay) -> None:
     """Compile all kernels in a process of its own, which does not run the script of the user."""
-    from .compile_ahead import is_compiled
+    from .compilation.compile_ahead import is_compiled
 
     if is_compiled():
         return

@@ -12,9 +12,9 @@ import numpy as np
 from lfcal import LightFieldError
 from lfcal.runtime.arrays import Array, Booleans, Floats, Frozen
 from lfcal.runtime.errors import check_type
+from lfcal.runtime.light.tone import exposure_gain, is_encoded, to_eight_bits
 from lfcal.runtime.packages import import_package
 from lfcal.runtime.page import html_card
-from lfcal.runtime.tone import exposure_gain, is_encoded, to_eight_bits
 
 from ..runtime.types import AnyPath, Size
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Calibration, LensBlur
-from lfcal.runtime.transfer import disc_transfer
+from lfcal.runtime.light.transfer import disc_transfer
 
 from ..flat.lens_type_weights import type_shares
 from .blur import interpolation_transfer, possible_discs, squares_to_average

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lfcal import Calibration, Lattice
 from lfcal.runtime.kernels import FAST, kernel, square
-from lfcal.runtime.tone import is_encoded
+from lfcal.runtime.light.tone import is_encoded
 
 __all__ = [
     "GrayFlat",

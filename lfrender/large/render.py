@@ -11,9 +11,9 @@ import numpy as np
 
 from lfcal import Calibration, FlatSource
 from lfcal.runtime.arrays import Array, Booleans, Floats, Frozen
+from lfcal.runtime.light.tone import is_encoded
 from lfcal.runtime.output_file import claim
 from lfcal.runtime.progress import Progress, show_progress
-from lfcal.runtime.tone import is_encoded
 
 from ..data.depth_map import DepthMap
 from ..data.rendering import Part, finish_picture

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from lfcal import Calibration, LightFieldError, OutputError, assess
 from lfcal.runtime.arrays import white_of
-from lfcal.runtime.tone import Exposure
+from lfcal.runtime.light.tone import Exposure
 
 from ..data.depth_map import DepthMap, default_scale
 from ..data.rendering import Rendering

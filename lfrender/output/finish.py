@@ -11,7 +11,7 @@ import numpy as np
 
 from lfcal import Calibration
 from lfcal.runtime.arrays import Array, white_of
-from lfcal.runtime.tone import (
+from lfcal.runtime.light.tone import (
     Exposure,
     WhiteBalance,
     apply_tone,

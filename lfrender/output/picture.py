@@ -13,8 +13,8 @@ import numpy as np
 
 from lfcal.runtime.arrays import Array, Booleans, Floats, white_of
 from lfcal.runtime.errors import check_type
+from lfcal.runtime.light.tone import Exposure, WhiteBalance
 from lfcal.runtime.output_file import atomic_write, refuse_leftovers
-from lfcal.runtime.tone import Exposure, WhiteBalance
 
 from ..data.rendering import Rendering
 from ..runtime.choices import Tone

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from lfcal import Calibration, LensBlur
-from lfcal.runtime.tone import is_encoded
+from lfcal.runtime.light.tone import is_encoded
 
 from ..data.rendering import Part, PictureGrid, convert_to_dtype
 from ..data.surface import Surface, edge_step, sample_surface_at

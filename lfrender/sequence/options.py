@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from lfcal.runtime.tone import Exposure, WhiteBalance
+from lfcal.runtime.light.tone import Exposure, WhiteBalance
 
 from ..runtime.choices import Preset, Tone
 from ..runtime.types import AnyPath

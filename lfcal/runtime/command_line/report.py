@@ -84,7 +84,7 @@ class Report:
         Returns the number of kernels that could not be compiled, or None if all were compiled
         before.
         """
-        from ..compile_ahead import compile_once, is_compiled
+        from ..compilation.compile_ahead import compile_once, is_compiled
 
         if self.compile_seconds or is_compiled():
             return None

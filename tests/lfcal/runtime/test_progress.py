@@ -11,7 +11,8 @@ import pytest
 
 import lfcal
 import lfrender
-from lfcal.runtime import compile_ahead, progress
+from lfcal.runtime import progress
+from lfcal.runtime.compilation import compile_ahead
 
 CAMERA = lfcal.Calibration(lfcal.Lattice([10, 10], [[20, 0], [0, 20]], (200, 160), 9))
 FLAT = np.random.default_rng(0).integers(0, 255, (160, 200), np.uint8)
@@ -87,7 +88,8 @@ def test_true_announces_that_kernels_are_compiled_and_compiles_them_in_another_p
 
 def test_true_shows_a_bar_on_a_terminal():
     pty = pytest.importorskip("pty", reason="there are no pseudo-terminals on this system")
-    code = "import time\nfrom lfcal.runtime import compile_ahead, progress\n"
+    code = "import time\nfrom lfcal.runtime import progress\n"
+    code += "from lfcal.runtime.compilation import compile_ahead\n"
     code += "compile_ahead.is_compiled = lambda: True\n"
     code += "with progress.show_progress(True, 'volume') as step:\n"
     code += "    step(7, 10)\n    time.sleep(0.5)\n"

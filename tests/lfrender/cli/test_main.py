@@ -12,7 +12,7 @@ import tifffile
 from click.testing import CliRunner
 
 import lfcal
-from lfcal.runtime.tone import encode_srgb
+from lfcal.runtime.light.tone import encode_srgb
 from lfrender.cli.main import main
 
 

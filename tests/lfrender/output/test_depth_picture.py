@@ -9,7 +9,7 @@ import pytest
 
 import lfrender
 from lfcal import Lattice
-from lfcal.runtime.tone import decode_srgb
+from lfcal.runtime.light.tone import decode_srgb
 from lfrender.data.depth_map import MODE_COLOURS
 from lfrender.data.depth_order import depth_limits, depth_order, name_depth, name_ends
 from lfrender.output.depth_picture import (

@@ -16,7 +16,7 @@ from PIL.ImageCms import ImageCmsProfile, createProfile
 
 import lfcal
 import lfrender
-from lfcal.runtime.tone import apply_tone, encode_srgb, exposure_gain, linear_light
+from lfcal.runtime.light.tone import apply_tone, encode_srgb, exposure_gain, linear_light
 from lfrender.cli.main import main
 from lfrender.data.rendering import Rendering
 from lfrender.output.formats import EmbeddedMetadata, read_metadata

@@ -12,7 +12,7 @@ import tifffile
 from PIL import Image, ImageCms
 
 from lfcal import read_flat
-from lfcal.runtime.tone import encode_srgb
+from lfcal.runtime.light.tone import encode_srgb
 from lfrender.data.rendering import Rendering
 from lfrender.output.formats import read_metadata
 from lfrender.output.picture import PictureError, write_picture, write_stack

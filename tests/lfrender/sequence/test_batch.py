@@ -18,7 +18,7 @@ from PIL import Image, ImageCms
 import lfcal
 import lfrender
 from lfcal import read_flat
-from lfcal.runtime.tone import encode_srgb
+from lfcal.runtime.light.tone import encode_srgb
 from lfrender.cli.main import main
 from lfrender.sequence.film_file import FilmFile
 from lfrender.sequence.options import FrameOptions

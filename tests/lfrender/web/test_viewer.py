@@ -20,7 +20,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 import lfcal
 import lfrender
 from lfcal.lattice.distortion import Distortion
-from lfcal.runtime.tone import apply_tone, exposure_gain, to_eight_bits
+from lfcal.runtime.light.tone import apply_tone, exposure_gain, to_eight_bits
 from lfrender.cli.main import main
 from lfrender.data.depth_map import DepthMap
 from lfrender.data.surface import Surface

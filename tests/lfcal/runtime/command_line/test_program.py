@@ -21,7 +21,8 @@ import lfcal.cli.main
 import lfrender.cli.main
 from lfcal import FlatError
 from lfcal.runtime import command_line as cl
-from lfcal.runtime import compile_ahead, progress
+from lfcal.runtime import progress
+from lfcal.runtime.compilation import compile_ahead
 
 PROGRAMS = {"lfcal": lfcal.cli.main.main, "lfrender": lfrender.cli.main.main}
 

@@ -20,7 +20,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from .file_lock import file_lock
+from ..file_lock import file_lock
 from .kernel_cache import record_checksums
 
 __all__ = [

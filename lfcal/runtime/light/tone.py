@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from .arrays import ENOUGH_PIXELS, Array, Floats, white_of
+from ..arrays import ENOUGH_PIXELS, Array, Floats, white_of
 
 __all__ = [
     "Exposure",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lfcal.runtime.tone import (
+from lfcal.runtime.light.tone import (
     apply_tone,
     decode_srgb,
     encode_srgb,

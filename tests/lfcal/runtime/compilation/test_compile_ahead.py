@@ -9,7 +9,7 @@ import json
 import pytest
 
 from benchmarks.kernels import encode_type
-from lfcal.runtime import compile_ahead as ahead
+from lfcal.runtime.compilation import compile_ahead as ahead
 
 KERNEL = [
     "lfrender.flat.lens_graph._count_in_mask",

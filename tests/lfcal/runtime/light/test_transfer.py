@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import j1
 
-from lfcal.runtime.transfer import disc_transfer
+from lfcal.runtime.light.transfer import disc_transfer
 
 
 def test_it_is_the_bessel_function():

@@ -14,7 +14,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from .output_file import atomic_write
+from ..output_file import atomic_write
 
 __all__ = ["record_checksums", "remove_damaged"]
 

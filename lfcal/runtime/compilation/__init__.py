@@ -1,0 +1,1 @@
+"""Kernels compiled ahead of their first call, and checksums of what was compiled."""
