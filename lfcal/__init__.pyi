@@ -22,6 +22,7 @@ from .pipeline import calibrate
 from .runtime.errors import (
     BoardError,
     CalibrationError,
+    CameraError,
     CameraFileError,
     FlatError,
     LightFieldError,
@@ -36,6 +37,7 @@ __all__ = [
     "Calibration",
     "CalibrationError",
     "CameraCheck",
+    "CameraError",
     "CameraFileError",
     "Finding",
     "FlatError",

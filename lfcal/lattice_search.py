@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .camera.evidence import Evidence
-from .detection.search import Candidate, find_candidates
+from .detection.search import Candidate, find_candidates, measure_lattice
 from .detection.tones import is_white_image
 from .images.mosaic import equalise_mosaic, remove_mosaic
 from .images.preprocessing import luminance, sqrt_luminance
@@ -25,6 +25,9 @@ __all__ = ["FittedLattice", "find_lattice", "find_lattice_in_crops", "find_latti
 
 #: A lattice with this probability ends the search.
 _LIKELY = 0.9
+#: [pitch] from its candidate, beyond which a fit is not that of the lattice with this evidence.
+#: Right fits on the shared flats moved by 0.03 at most.
+_FAR = 0.05
 #: Candidates that are fitted, the most probable first.
 _MOST_FITTED = 3
 
@@ -54,8 +57,21 @@ class FittedLattice:
         fit: LatticeFit,
         read_crop: ReadCrop | None = None,
     ) -> FittedLattice:
-        """The fit that began at a candidate, with the agreement of its own halves."""
-        halves = max(fit.half_difference, fit.displacement) / fit.lattice.pitch
+        """The fit that began at a candidate, with the agreement of its own halves.
+
+        A fit that has moved to where the flat has no evidence for it has run away: the candidate
+        is kept.
+        """
+        pitch = fit.lattice.pitch
+        halves = max(fit.half_difference, fit.displacement) / pitch
+        far = fit.displacement > _FAR * pitch and start.evidence.probability > 0.5
+        if far and isinstance(picture, np.ndarray):
+            moved = measure_lattice(picture, replace(fit.lattice, distortion=None))
+            if moved.evidence.probability < 0.5:
+                halves = start.evidence.halves
+                fit = LatticeFit(
+                    start.lattice, fit.residual_rms, fit.lenses_used, start.half_difference
+                )
         return cls(picture, white, fit, start.evidence.with_halves(halves), read_crop)
 
 

@@ -229,7 +229,7 @@ def fuzz_cameras(folder: Path, count: int, first: int = 0) -> tuple[int, int, li
         if camera.optics is not None:
             depth.distance_error(camera)
         picture = scene.draw(camera, depth)
-        if scene.is_other(picture) and lfcal.check_camera(camera, scene.flat).problem is None:
+        if scene.is_other(picture) and lfcal.check_camera(scene.flat, camera).problem is None:
             return "another picture"
         return ""
 

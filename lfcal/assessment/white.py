@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..camera.calibration import Calibration
+from ..display.camera_check import check_camera
 from ..images.stack import check_flats
 from ..lens_blur.microimages import measure_microimages
 from ..pipeline import SURE_CONFIDENCE, calibrate
@@ -110,6 +111,9 @@ def assess(
                 "{} x {} px".format(*size) for size in (one.shape[1::-1], camera.image_size)
             )
             raise FlatError(f"{name} is {given}, the camera is for {own}; give flats of one camera")
+    if calibration is not None:
+        warnings = check_camera(flat, camera).warnings
+        camera = replace(camera, warnings=(*camera.warnings, *warnings))
     if camera.optics is not None:
         pixel = pixel or camera.optics.pixel
         pupil = pupil or camera.optics.mla_distance

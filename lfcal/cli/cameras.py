@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from dataclasses import replace
 from typing import Any
 
 import click
@@ -21,10 +22,16 @@ __all__ = ["compare", "convert", "info"]
 @cl.with_options(*SIZE_OPTIONS)
 @cl.report_options(CameraResult)
 def info(report: cl.Report, given: Any) -> None:
-    """Show what is in the camera file CAMERA."""
-    report.finish(
-        {"camera": str(given.camera), **describe(read_camera(given.camera, read_size(given)))}
-    )
+    """Show what is in the camera file CAMERA, and whether it is the camera of --image."""
+    pixels = given.image and read_image(given)
+    size = given.size if pixels is None else pixels.shape[1::-1]
+    camera = read_camera(given.camera, size)
+    if pixels is not None:
+        from .. import check_camera
+
+        warnings = check_camera(pixels, camera).warnings
+        camera = replace(camera, warnings=(*camera.warnings, *warnings))
+    report.finish({"camera": str(given.camera), **describe(camera)})
 
 
 @cl.command("lfcal compare monday.json friday.json")

@@ -38,8 +38,8 @@ def show(report: cl.Report, given: Any) -> None:
         pixels = run(camera, flat)
         look = [place.sentence for place in find_places_to_check(camera, flat)]
         # What does not fit at all is drawn too: that is what to look for.
-        if (problem := check_camera(flat, camera).problem) is not None:
-            camera = replace(camera, warnings=(*camera.warnings, problem))
+        warnings = check_camera(flat, camera).warnings
+        camera = replace(camera, warnings=(*camera.warnings, *warnings))
     with report.stage("write"), atomic_write(output) as temporary:
         from PIL import Image
 
@@ -74,7 +74,7 @@ def flatten(report: cl.Report, given: Any) -> None:
         camera = read_camera(given.camera, (width, height))
     with report.stage("flatten"), cl.name_file_in_errors(given.flat):
         even = camera.flatten(pixels)
-        warnings = check_camera(pixels, camera).warn(camera, given.camera).warnings
+        warnings = check_camera(pixels, camera).apply(camera, given.camera).warnings
     with report.stage("write"), atomic_write(output) as temporary:
         import tifffile
 

@@ -29,7 +29,7 @@ from .measure_evidence import Marks, add_overlap, add_parallax, measure_evidence
 from .spectrum import find_periods, is_same_lattice
 from .tile_lattice import fit_harmonics, has_run_away, refine_basis
 
-__all__ = ["Candidate", "find_candidates", "measure_basis"]
+__all__ = ["Candidate", "find_candidates", "measure_basis", "measure_lattice"]
 
 #: [px] shortest distance between microimages: smaller ones hold too few pixels.
 _SHORTEST = 6.0
@@ -83,11 +83,7 @@ def find_candidates(
     CalibrationError
         If nothing repeats in two directions, or nothing as the hint states.
     """
-    mean, deviation = (float(value[0, 0]) for value in cv2.meanStdDev(picture))
-    if mean == 0 or deviation < 1e-4 * mean:
-        raise CalibrationError(
-            "the image is one even grey; give a flat with light on it and without saturation"
-        )
+    _check_contrast(picture)
     found: list[Candidate] = []
     if picture.size >= _LARGE and not thorough:
         height, width = (length // 2 for length in picture.shape)
@@ -117,6 +113,14 @@ def find_candidates(
     )
 
 
+def _check_contrast(picture: Singles) -> None:
+    mean, deviation = (float(value[0, 0]) for value in cv2.meanStdDev(picture))
+    if mean == 0 or deviation < 1e-4 * mean:
+        raise CalibrationError(
+            "the image is one even grey; give a flat with light on it and without saturation"
+        )
+
+
 def _is_clear(found: Candidate) -> bool:
     """Whether more pixels would tell no more about a candidate that was found at half the size."""
     return found.evidence.probability > _LIKELY and found.lattice.pitch > 2 * _CLEAR
@@ -130,6 +134,19 @@ def measure_basis(picture: Singles, lattice: Lattice) -> list[Candidate]:
     rough = _measure_period(features, _refine_period(features, lattice.basis))
     found = [one for start in rough[:_MOST_CENTRES] for one in _refine_candidate(start)]
     return sorted(found, key=lambda one: -one.evidence.rank)
+
+
+def measure_lattice(picture: Singles, lattice: Lattice) -> Candidate:
+    """A straight lattice as a candidate on a picture (h, w): the evidence at its own centres.
+
+    CalibrationError if the picture is one even grey.
+    """
+    _check_contrast(picture)
+    features = FlatFeatures(picture)
+    maps = CellMaps.measure(features, lattice.basis)
+    centre = lattice.origin @ np.linalg.inv(lattice.basis) % 1
+    rough = _CentreFigures.of(features, lattice.basis).measure(maps, centre)
+    return _complete(rough, lattice, fit_harmonics(maps.tiles[1:], lattice.origin).half_difference)
 
 
 def _search(
@@ -251,23 +268,44 @@ def _refine_period(features: FlatFeatures, basis: Floats) -> Floats:
     return reduce_basis(refined)
 
 
+@dataclass(frozen=True)
+class _CentreFigures:
+    """What is measured of a basis on a flat once, for the evidence of all centres."""
+
+    features: FlatFeatures
+    basis: Floats  # (2, 2) [px]
+    marks: list[Marks]
+    lines: list[LineProfile]
+
+    @classmethod
+    def of(cls, features: FlatFeatures, basis: Floats) -> _CentreFigures:
+        """Circles and peaks of the pitch, and the steps across both directions."""
+        picture = features.picture
+        pitch = _straight(features, np.zeros(2), basis).pitch
+        marks = [Marks.of(one, picture, pitch) for one in find_marks(picture, pitch)]
+        lines = [LineProfile.measure(features.steps, one) for one in np.linalg.inv(basis).T]
+        return cls(features, basis, marks, lines)
+
+    def measure(self, maps: CellMaps, centre: Floats) -> Candidate:
+        """The candidate with `centre` (2,) in fractional coordinates, without parallax."""
+        lattice = _straight(self.features, centre @ self.basis, self.basis)
+        evidence = measure_evidence(maps, centre, lattice, self.marks, self.lines)
+        return Candidate(lattice, evidence, self.features, maps)
+
+
+def _straight(features: FlatFeatures, origin: Floats, basis: Floats) -> Lattice:
+    """A lattice on a flat, with the point next to its middle as origin."""
+    height, width = features.picture.shape
+    middle = (np.array([width, height]) - 1) / 2
+    radius = float(np.hypot(*basis.T).min() / 2)
+    return Lattice(_nearest_point(middle, origin, basis), basis, (width, height), radius)
+
+
 def _measure_period(features: FlatFeatures, basis: Floats) -> list[Candidate]:
     """Candidates of one period, not yet fitted; those that look most like lenses first."""
     maps = CellMaps.measure(features, basis)
-    height, width = features.picture.shape
-    found = []
-    start = Lattice(np.zeros(2), basis, (width, height), float(np.hypot(*basis.T).min() / 2))
-    picture = features.picture
-    marks = [Marks.of(one, picture, start.pitch) for one in find_marks(picture, start.pitch)]
-    middle = (np.array([width, height]) - 1) / 2
-    lines = [LineProfile.measure(features.steps, one) for one in np.linalg.inv(basis).T]
-    for centre in _propose_centres(maps, lines):
-        lattice = replace(start, origin=_nearest_point(middle, centre @ basis, basis))
-        found.append(
-            Candidate(
-                lattice, measure_evidence(maps, centre, lattice, marks, lines), features, maps
-            )
-        )
+    figures = _CentreFigures.of(features, basis)
+    found = [figures.measure(maps, centre) for centre in _propose_centres(maps, figures.lines)]
     return sorted(found, key=lambda one: -one.evidence.outlined)
 
 
@@ -284,12 +322,14 @@ def _refine_candidate(rough: Candidate) -> list[Candidate]:
             fit = lines
     if has_run_away(fit.basis, lattice.basis):
         return []
-    basis = reduce_basis(fit.basis)
-    middle = (np.array(lattice.image_size) - 1) / 2
-    radius = float(np.hypot(*basis.T).min() / 2)
-    fitted = Lattice(_nearest_point(middle, fit.origin, basis), basis, lattice.image_size, radius)
-    classes = measure_classes(rough.features, basis)
-    halves = fit.half_difference / fitted.pitch
+    fitted = _straight(rough.features, fit.origin, reduce_basis(fit.basis))
+    return [_complete(rough, fitted, fit.half_difference)]
+
+
+def _complete(rough: Candidate, fitted: Lattice, half_difference: float) -> Candidate:
+    """The candidate at its fitted lattice, with the figures that follow from there."""
+    classes = measure_classes(rough.features, fitted.basis)
+    halves = half_difference / fitted.pitch
     evidence = replace(rough.evidence, halves=halves, classes=classes.share)
     coarser = None if is_one_lens(evidence) > 0.5 else reduce_basis(classes.basis)
     picture = rough.features.picture
@@ -300,7 +340,7 @@ def _refine_candidate(rough: Candidate) -> list[Candidate]:
     if bright_gaps or dubious_white:
         wide = find_circles(picture, fitted.pitch, OVERLAPPING)
         evidence = add_overlap(evidence, Marks.of(wide, picture, fitted.pitch), fitted)
-    return [replace(rough, lattice=fitted, evidence=evidence, coarser=coarser)]
+    return replace(rough, lattice=fitted, evidence=evidence, coarser=coarser)
 
 
 def _propose_centres(maps: CellMaps, lines: list[LineProfile]) -> list[Floats]:

@@ -1,7 +1,5 @@
-"""Check whether a flat can have been made with a camera.
-
-A camera whose gain map matches the average cells of all parts of the flat is confirmed at once
-(`confirmation`). Else it is compared with the lattice that the flat shows (`flat_lattice`).
+"""Check whether a flat can have been made with a camera: the words for what is measured of both
+(`flat_lattice.measure_camera`).
 """
 
 from __future__ import annotations
@@ -11,23 +9,29 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
-from threadpoolctl import threadpool_limits
 
 from ..camera.calibration import Calibration
 from ..lattice.lattice import Lattice, describe_orientation
 from ..runtime.arrays import Array
-from ..runtime.errors import CameraFileError
-from .fit_check import MOST_STRETCH, fit_offsets
-from .flat_lattice import ReducedFlat, compare_lattices, prepare_flat, reduce_flat
+from ..runtime.errors import CameraError
+from .compare import REGIONS, nine_places
+from .flat_lattice import SeenLattice, measure_camera
+from .misfit import MOST_SHIFT
 
-__all__ = ["CameraCheck", "check_camera", "choose_orientation"]
+__all__ = ["MOST_STRETCH", "CameraCheck", "check_camera", "choose_orientation", "find_problem"]
 
+# Largest shift of a corner by scale or rotation [pitch]: 0.028 with right cameras on 11 captures,
+# 0.039 with a wrong one.
+MOST_STRETCH = 0.033
+# Offset [pitch] from which on pixels are taken for those of another microimage.
+_ANOTHER_LENS = 0.5
 _REMEDY = "give the camera of this flat, or calibrate on it"
+_UNCHECKED = (
+    "no microimages can be seen on this flat, so that the camera could not be checked; give a flat "
+    "that is neither dark nor saturated"
+)
 # Least difference of the light of lens types at the rims that determines their order.
 _RIM_LIGHT = 0.03
-# Lenses that are fitted to check a camera: 8,000 give the same verdicts on eight captures. Their
-# offsets differ by less than 0.004 pitch, or 0.02 where the camera is wrong.
-_CHECKED_LENSES = 1400
 
 
 @dataclass(frozen=True)
@@ -36,53 +40,66 @@ class CameraCheck:
 
     Parameters
     ----------
-    fits : bool
-        False if the flat has another lattice, so that results of this camera would be meaningless.
     problem : str or None
         The fault of the camera and a remedy, None if there is no fault.
     adjusted : Calibration or None
         The camera shifted onto the microimages if a shift is the only fault, as of a cropped flat.
+    usable : bool
+        False if the flat has another lattice or orientation, so that results of this camera would
+        be meaningless.
     checked : bool
         False if no microimages are visible on the flat.
 
     Examples
     --------
     >>> from lfcal import CameraCheck
-    >>> CameraCheck().fits, CameraCheck(problem="the microimages lie 5.9 px beside").problem
-    (True, 'the microimages lie 5.9 px beside')
+    >>> CameraCheck().fits, CameraCheck(problem="the microimages lie 5.9 px beside").fits
+    (True, False)
     """
 
-    fits: bool = True
     problem: str | None = None
     adjusted: Calibration | None = None
+    usable: bool = True
     checked: bool = True
 
-    def warn(self, calibration: Calibration, name: object) -> Calibration:
-        """The camera with its problem as a warning; CameraFileError with `name` if it is wrong."""
-        if not self.fits:
-            raise CameraFileError(f"{name}: {self.problem}")
-        warning = self.problem
-        if not self.checked:
-            warning = (
-                "no microimages can be seen on this flat, so that the camera could not be checked; "
-                "give a flat that is neither dark nor saturated"
-            )
-        if warning is None:
-            return calibration
-        return replace(calibration, warnings=(*calibration.warnings, warning))
+    @property
+    def fits(self) -> bool:
+        """Whether no fault of the camera was found."""
+        return self.problem is None
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """The problem, or that the flat could not be checked."""
+        if self.problem is not None:
+            return (self.problem,)
+        return () if self.checked else (_UNCHECKED,)
+
+    def apply(self, calibration: Calibration, name: object) -> Calibration:
+        """The camera to use for the flat: shifted where a shift is its only fault, with a warning.
+
+        CameraError with `name` if it is of another lattice or orientation.
+        """
+        if not self.usable:
+            raise CameraError(f"{name}: {self.problem}")
+        warnings = self.warnings
+        if self.adjusted is not None:
+            warnings = (f"{self.problem}; its lattice was moved onto the microimages",)
+            calibration = replace(calibration, lattice=self.adjusted.lattice)
+        return replace(calibration, warnings=(*calibration.warnings, *warnings))
 
 
-# The equations are too small for more threads to pay off.
-@threadpool_limits.wrap(limits=1, user_api="blas")
-def check_camera(flat: ArrayLike, calibration: Calibration) -> CameraCheck:
+def check_camera(
+    flat: ArrayLike, calibration: Calibration, lens_types: bool = True
+) -> CameraCheck:
     """Check whether a flat can have been made with a camera, in about a tenth of a second.
 
     The check finds turned or mirrored flats, shifts of more than a tenth of the pitch, pitches that
     are wrong by more than 0.25 %, another array, and lens types in another order. A flat without a
     visible lattice, such as a dark one, cannot be checked (`CameraCheck.checked`).
 
-    `flat` (h, w) or (h, w, 3) is a white image or any scene capture. FlatError if it has another
-    size than those of the camera. The earlier order, with the camera first, is deprecated.
+    `flat` (h, w) or (h, w, 3) is a white image or any scene capture; FlatError if it has another
+    size. Without `lens_types`, their order is not checked, which takes as long as all the rest. The
+    earlier order, with the camera first, is deprecated.
 
     Examples
     --------
@@ -94,42 +111,62 @@ def check_camera(flat: ArrayLike, calibration: Calibration) -> CameraCheck:
     >>> check_camera(white, camera).problem[:19]
     'the microimages lie'
     """
-    from .confirmation import confirms_camera
-
     if isinstance(flat, Calibration):
-        warnings.warn("call check_camera(flat, calibration)", DeprecationWarning, stacklevel=3)
+        warnings.warn("call check_camera(flat, calibration)", DeprecationWarning, stacklevel=2)
         flat, calibration = calibration, flat  # type: ignore[assignment]
-    reduced = prepare_flat(calibration, flat)
-    lattice = calibration.lattice
-    if confirms_camera(calibration, lattice.downscaled(reduced.factor), reduced.picture):
-        return CameraCheck(problem=_find_type_conflict(calibration, reduced.flat))
-    found, misfit = compare_lattices(reduced, lattice)
-    if found is None and reduced.factor > 1:
-        # Microimages that are much smaller than those of the camera vanish by downscaling.
-        reduced = ReducedFlat(reduced.flat, 1, reduce_flat(reduced.flat, 1))
-        found, misfit = compare_lattices(reduced, lattice)
-    if found is None:
+    seen = measure_camera(calibration, flat)
+    if seen.lattice is None:
         return CameraCheck(checked=False)
+    lattice = calibration.lattice
+    problem = find_problem(lattice, seen)
+    misfit = seen.misfit
     if misfit is None:
-        return CameraCheck(False, _describe_other(lattice, found, reduced.factor))
-    if misfit.is_small:
-        conflict = _find_type_conflict(calibration, reduced.flat)
-        offsets = fit_offsets(calibration, reduced, found, misfit, _CHECKED_LENSES)
-        return CameraCheck(problem=conflict or offsets.warning)
+        return CameraCheck(problem, usable=False)
+    stretched = misfit.distance <= MOST_SHIFT and misfit.stretch > MOST_STRETCH
+    if stretched or not misfit.is_straight:
+        return CameraCheck(problem, usable=misfit.distance + misfit.stretch < _ANOTHER_LENS)
+    conflict = None
+    if problem is None:
+        if lens_types:
+            conflict = _find_type_conflict(calibration, seen.flat)
+        return CameraCheck(conflict)
+    moved = replace(lattice, origin=lattice.origin + misfit.shift)
+    adjusted = replace(calibration, lattice=moved)
+    if lens_types:
+        conflict = _find_type_conflict(adjusted, seen.flat)
+    if conflict is not None:
+        return CameraCheck(f"{problem}; and {conflict}", usable=False)
+    return CameraCheck(problem, adjusted)
+
+
+def find_problem(lattice: Lattice, seen: SeenLattice) -> str | None:
+    """The fault of the lattice of a camera, and a remedy, by what the flat shows of it."""
+    misfit = seen.misfit
+    if seen.lattice is None:
+        return None
+    if misfit is None:
+        return _describe_other(lattice, seen.lattice)
     if not misfit.is_straight:
         step = np.eye(2) + misfit.linear
         scale = 100 * (float(np.sqrt(abs(np.linalg.det(step)))) - 1)
         turn = float(np.degrees(np.arctan2(step[0, 1] - step[1, 0], np.trace(step))))
-        return CameraCheck(
-            problem=f"the pitch on the flat is {scale:+.2f} % and its rotation {turn:+.2f} degrees "
+        return (
+            f"the pitch on the flat is {scale:+.2f} % and its rotation {turn:+.2f} degrees "
             f"from the camera; {_REMEDY}"
         )
-    shift = reduced.factor * misfit.shift
-    return CameraCheck(
-        problem=f"the microimages lie {np.linalg.norm(shift):.1f} px beside those of the camera, "
-        f"as in a crop, a turned flat, or with another camera; {_REMEDY}",
-        adjusted=replace(calibration, lattice=replace(lattice, origin=lattice.origin + shift)),
-    )
+    if misfit.distance > MOST_SHIFT:
+        return (
+            f"the microimages lie {np.linalg.norm(misfit.shift):.1f} px beside those of the camera, "
+            f"as in a crop, a turned flat, or with another camera; {_REMEDY}"
+        )
+    if misfit.stretch > MOST_STRETCH:
+        offsets = np.linalg.norm(misfit.at(nine_places(lattice.image_size)), axis=-1)
+        where = REGIONS[int(offsets.argmax())]
+        return (
+            f"the lattice is off by up to {offsets.max():.1f} px in the {where}, which pictures "
+            "show: calibrate on this flat"
+        )
+    return None
 
 
 def choose_orientation(down: Calibration, up: Calibration, image: ArrayLike) -> Calibration:
@@ -150,13 +187,13 @@ def choose_orientation(down: Calibration, up: Calibration, image: ArrayLike) -> 
     return replace(down, warnings=(*down.warnings, warning))
 
 
-def _describe_other(given: Lattice, found: Lattice, factor: int) -> str:
-    """A message about a flat that shows another lattice, downscaled by `factor`."""
+def _describe_other(given: Lattice, found: Lattice) -> str:
+    """A message about a flat that shows another lattice."""
     shape, rows, _ = describe_orientation(found)
     own_shape, own_rows, _ = describe_orientation(given)
     return (
         f"the flat was not made with this camera: its microimages are {shape}, rows {rows}, pitch "
-        f"{factor * found.pitch:.2f} px, those of the camera {own_shape}, rows {own_rows}, pitch "
+        f"{found.pitch:.2f} px, those of the camera {own_shape}, rows {own_rows}, pitch "
         f"{given.pitch:.2f} px, unless the flat was turned or mirrored; {_REMEDY}"
     )
 
@@ -173,7 +210,8 @@ def _find_type_conflict(calibration: Calibration, flat: Array) -> str | None:
         return None
     conflict = None
     rims_known = False
-    if gain is not None and gain.type_light.size:
+    # Rims of a scene show its content, too.
+    if gain is not None and gain.type_light.size and calibration.source == "white":
         conflict = find_rim_conflict(types, gain, lattice.radius)
         rims_known = float(np.ptp(gain.type_rims(lattice.radius), axis=0).max()) > _RIM_LIGHT
     conflict = conflict or find_type_conflict(sqrt_luminance(flat), lattice, types, rims_known)

@@ -2,7 +2,8 @@
 
 The light of the camera's own gain map is matched with the average cell of each part, at all shifts.
 A camera is confirmed where every part matches well at hardly any shift, and the shifts of the parts
-show neither another pitch nor another rotation. Whatever is less clear needs `check_camera`.
+show neither another pitch nor another rotation. Whatever is less clear needs the evidence of the
+lattice (`flat_lattice`).
 """
 
 from __future__ import annotations
@@ -16,8 +17,9 @@ from ..gain.gain_map import GainMap
 from ..lattice.cell import bin_offsets
 from ..lattice.lattice import Lattice
 from ..runtime.arrays import Floats, Singles
+from .misfit import Misfit
 
-__all__ = ["confirms_camera"]
+__all__ = ["match_gain"]
 
 # Parts along the shorter side of a flat.
 _PARTS = 4
@@ -25,7 +27,8 @@ _PARTS = 4
 # on eleven captures; with a half or a third of the cell, 0.81 at most, at shifts of 0.06 and more.
 _MATCH = 0.7
 # Largest shift in the middle, shift of a corner against it, and shift of a part beside a linear
-# function of the place [pitch]. The first two are half of those that `check_camera` warns of.
+# function of the place [pitch]. The first two are half of those that `check_camera`
+# warns of.
 _SHIFT = 0.03
 _STRETCH = 0.0165
 _BESIDE = 0.06
@@ -39,32 +42,30 @@ class _Match(NamedTuple):
     correlation: float
 
 
-def confirms_camera(calibration: Calibration, small: Lattice, picture: Singles) -> bool:
-    """Whether a picture certainly shows the microimages of a camera at their places.
+def match_gain(calibration: Calibration, small: Lattice, picture: Singles) -> Misfit | None:
+    """The offset of the microimages on a picture from a camera, if they are certainly its own; None
+    if that is open.
 
-    `picture` (h, w) is the root of the luminance of a flat.
-
-    `small` is the lattice of the camera on the picture, which may be downscaled.
+    `picture` (h, w) is the root of the luminance of a flat, `small` the lattice of the camera on
+    the picture, which may be downscaled.
     """
     gain = calibration.gain_map
     # Distortion and mechanical vignetting move average cells too.
     if gain is None or len(gain.cut) or small.distortion is not None:
-        return False
+        return None
     found = _match_parts(gain, calibration.lattice, small, picture)
     if min(one.correlation for one in found) < _MATCH:
-        return False
+        return None
     middle = (np.array(small.image_size) - 1) / 2
-    places = np.array([(one.centre - middle) / middle for one in found])
-    shifts = np.array([one.shift for one in found]) / small.pitch
+    places = np.array([one.centre - middle for one in found])
+    shifts = np.array([one.shift for one in found])
     design = np.column_stack([np.ones(len(places)), places])
     line = np.linalg.lstsq(design, shifts, rcond=None)[0]
-    corners = np.array([[1, 1], [1, -1]]) @ line[1:]
-    beside = shifts - design @ line
-    return bool(
-        np.linalg.norm(line[0]) < _SHIFT
-        and np.linalg.norm(corners, axis=1).max() < _STRETCH
-        and np.linalg.norm(beside, axis=1).max() < _BESIDE
-    )
+    misfit = Misfit(line[0], line[1:], small.image_size, small.pitch)
+    beside = np.linalg.norm(shifts - design @ line, axis=1).max() / small.pitch
+    if misfit.distance < _SHIFT and misfit.stretch < _STRETCH and beside < _BESIDE:
+        return misfit
+    return None
 
 
 def _match_parts(gain: GainMap, lattice: Lattice, small: Lattice, picture: Singles) -> list[_Match]:

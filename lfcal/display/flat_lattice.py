@@ -1,8 +1,11 @@
-"""Compare the lattice that a flat shows with that of a camera.
+"""Measure where the microimages of a flat lie against those of a camera: the one answer that all
+checks of a camera put into words.
 
-The lattice of the flat is measured from the basis of the camera, without its centres. If nothing
-repeats at that basis, the lattice is searched without the camera. Flats are downscaled to
-microimages of 10 to 20 pixels.
+Average cells that match the gain map of the camera at hardly any shift confirm it in a few
+milliseconds (`confirmation`). Else the evidence of its own lattice is measured on the flat, as
+`calibrate` measures that of candidates. A camera whose lattice has enough evidence is compared
+with the fit that begins there. Only if the flat has no evidence for it, another place of this
+lattice, or another lattice, is looked for. Flats are downscaled to microimages of 10 to 20 pixels.
 """
 
 from __future__ import annotations
@@ -12,38 +15,30 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
+from threadpoolctl import threadpool_limits
 
 from ..camera.calibration import Calibration
-from ..lattice.cell import nearest_offsets
 from ..lattice.lattice import Lattice
-from ..runtime.arrays import ENOUGH_LENSES, Array, Floats, Singles, evenly
+from ..runtime.arrays import ENOUGH_LENSES, Array, Singles, evenly
 from ..runtime.errors import CAMERA_ADVICE, CalibrationError, FlatError, check_type
+from .misfit import Misfit
 
 if TYPE_CHECKING:
     from ..detection.search import Candidate
 
-__all__ = [
-    "MOST_SHIFT",
-    "Misfit",
-    "ReducedFlat",
-    "compare_lattices",
-    "prepare_flat",
-    "reduce_flat",
-]
+__all__ = ["SeenLattice", "measure_camera"]
 
-# Largest shift of a right camera over the whole flat [pitch]: 0.05 on 60 simulated flats. Beyond
-# it, errors are visible in pictures.
-MOST_SHIFT = 0.06
 # Least probability of a lattice that a camera is compared with.
 _LIKELY = 0.5
 # Least probability of a lattice, found at the basis of the camera, that may confirm the camera.
 _LIKELY_AT_BASIS = 0.05
-# Largest difference of two bases of one lattice, relative to the first.
-_SAME_CELL = 0.1
-# Largest relative difference of the basis of a right camera: 0.0011 on 60 simulated flats.
-_SAME_BASIS = 0.0025
-# Largest shift of a corner of a right camera [pitch]: 0.08 on the same flats.
-_CORNER = 0.2
+# Offset of a corner [pitch] up to which centres of two lattices can be paired.
+_NEIGHBOUR = 0.4
+# Lenses that are fitted: with 8,000, offsets on eight captures differ by less than 0.004 pitch, or
+# by 0.02 where the camera is wrong.
+_CHECKED_LENSES = 1400
+# Largest difference of the lattices of two halves of the microimages [pitch].
+_HALVES = 0.05
 # Pitches [px] and pixels of downscaled flats: larger ones take time and show no more.
 _PITCH = 18
 _LEAST_PITCH = 10
@@ -93,76 +88,141 @@ def reduce_flat(flat: Array, factor: int) -> Singles:
     return sqrt_luminance(flat)
 
 
-class Misfit(NamedTuple):
-    """Offset of a found lattice from a given one: `shift + (p - middle) @ linear` [px] at `p`."""
+class SeenLattice(NamedTuple):
+    """What a flat shows of the lattice of a camera."""
 
-    shift: Floats  # (2,) [px] in the middle of the flat, to the nearest centre
-    linear: Floats  # (2, 2)
-    given: Lattice
-
-    @classmethod
-    def between(cls, given: Lattice, found: Lattice) -> Misfit | None:
-        """The offset, or None if the lattices have different cells."""
-        whole = np.rint(found.basis @ np.linalg.inv(given.basis))
-        if round(abs(np.linalg.det(whole))) != 1:
-            return None
-        linear = np.linalg.inv(given.basis) @ np.linalg.solve(whole, found.basis) - np.eye(2)
-        if np.linalg.norm(linear, 2) > _SAME_CELL:
-            return None
-        index = found.to_index(given.points(given.middle[None]))
-        return cls(-nearest_offsets(index, found.basis)[0], linear, given)
-
-    @property
-    def is_straight(self) -> bool:
-        """Whether scale and angle are the same."""
-        return float(np.linalg.norm(self.linear, 2)) < _SAME_BASIS
-
-    @property
-    def is_small(self) -> bool:
-        """Whether the flat shows no fault of the camera."""
-        half = np.array(self.given.image_size) / 2
-        pitch = self.given.pitch
-        corners = self.shift + (half * [[1, 1], [1, -1], [-1, 1], [-1, -1]]) @ self.linear
-        near = np.linalg.norm(corners, axis=1).max() < _CORNER * pitch
-        return bool(self.is_straight and near and np.linalg.norm(self.shift) < MOST_SHIFT * pitch)
+    flat: Array  # without its mosaic
+    lattice: Lattice | None = None  # [px] what the flat shows, None if there is none to be seen
+    misfit: Misfit | None = None  # offset from the camera, None if the cells are others
+    measured: bool = False  # the misfit is that of a fit, not only that of two lattices
 
 
-def compare_lattices(reduced: ReducedFlat, given: Lattice) -> tuple[Lattice | None, Misfit | None]:
-    """The lattice of the flat, None if none is found, and its offset, None if its cells differ."""
-    if given.distortion is not None:
-        index = given.indices()[evenly(len(given), ENOUGH_LENSES)]
-        design = np.column_stack([np.ones(len(index)), index])
-        line: Array = np.linalg.lstsq(design, given.points(index), rcond=None)[0]
-        given = Lattice(line[0], line[1:], given.image_size, given.radius)
-    from ..detection.search import find_candidates
+# The equations are too small for more threads to pay off: they double the processor time.
+@threadpool_limits.wrap(limits=1, user_api="blas")
+def measure_camera(calibration: Calibration, image: ArrayLike) -> SeenLattice:
+    """Measure the lattice of a flat against that of a camera.
 
+    `image` (h, w) or (h, w, 3) is a white image or any scene capture. FlatError if it has another
+    size.
+    """
+    from .confirmation import match_gain
+
+    reduced = prepare_flat(calibration, image)
+    given = calibration.lattice
     small = given.downscaled(reduced.factor)
-    own = _find_at_basis(reduced.picture, small)
-    if own is not None and own.evidence.probability > _LIKELY:
-        misfit = Misfit.between(small, own.lattice)
-        if misfit is not None:
-            return own.lattice, misfit
-    other = None
+    misfit = match_gain(calibration, small, reduced.picture)
+    if misfit is not None:
+        return SeenLattice(reduced.flat, given, misfit.upscaled(given), True)
+    found = _compare(reduced.picture, small)
+    if found is None and reduced.factor > 1:
+        # Microimages that are much smaller than those of the camera vanish by downscaling.
+        reduced = ReducedFlat(reduced.flat, 1, reduce_flat(reduced.flat, 1))
+        small = given
+        found = _compare(reduced.picture, small)
+    if found is None:
+        return SeenLattice(reduced.flat)
+    shown = found.scaled(reduced.factor, given.image_size)
+    misfit = Misfit.between(_straighten(small), found)
+    if misfit is None:
+        return SeenLattice(reduced.flat, shown)
+    start = small if misfit.is_small else misfit.applied(small)
+    fitted = None
+    # Beyond, centres are nearest to those of other microimages.
+    if misfit.stretch < _NEIGHBOUR:
+        fitted = _fit(reduced.picture, small, start)
+    if fitted is not None and fitted.differs(misfit):
+        fitted = None
+    if fitted is not None and calibration.gain_map is not None and misfit.is_small:
+        fitted = _without_vignetting(calibration, fitted, reduced.factor)
+    best = fitted or misfit
+    return SeenLattice(reduced.flat, shown, best.upscaled(given), fitted is not None)
+
+
+def _straighten(given: Lattice) -> Lattice:
+    """The lattice without its distortion."""
+    if given.distortion is None:
+        return given
+    index = given.indices()[evenly(len(given), ENOUGH_LENSES)]
+    design = np.column_stack([np.ones(len(index)), index])
+    line: Array = np.linalg.lstsq(design, given.points(index), rcond=None)[0]
+    return Lattice(line[0], line[1:], given.image_size, given.radius)
+
+
+def _compare(picture: Singles, given: Lattice) -> Lattice | None:
+    """The lattice of a picture: the given one, or one with its basis, unless there is more evidence
+    for any other; None if there is none.
+    """
+    from ..detection.search import find_candidates, measure_basis, measure_lattice
+
+    straight = _straighten(given)
+    seen: list[Candidate] = []
     with suppress(CalibrationError, np.linalg.LinAlgError):
-        for found in find_candidates(reduced.picture)[:3]:
-            if found.evidence.probability <= _LIKELY:
-                break
-            misfit = Misfit.between(small, found.lattice)
-            if misfit is not None:
-                return found.lattice, misfit
-            other = other or found.lattice
-    if other is None and own is not None and own.evidence.probability > _LIKELY_AT_BASIS:
-        # A faint lattice may confirm the camera; it is too uncertain to refute it.
-        misfit = Misfit.between(small, own.lattice)
-        if misfit is not None and misfit.is_small:
-            return own.lattice, misfit
-    return other, None
-
-
-def _find_at_basis(picture: Singles, given: Lattice) -> Candidate | None:
-    """The most probable lattice of a picture whose basis is near that of the given lattice."""
-    from ..detection.search import measure_basis
-
-    with suppress(CalibrationError, np.linalg.LinAlgError):
-        return next(iter(measure_basis(picture, given)), None)
+        seen = [measure_lattice(picture, straight), *measure_basis(picture, straight)[:1]]
+    best = _choose(seen)
+    misfit = None if best is None else Misfit.between(straight, best.lattice)
+    if best is None or misfit is None or not misfit.is_straight:
+        with suppress(CalibrationError, np.linalg.LinAlgError):
+            best = _choose([*seen, *find_candidates(picture)[:3]])
+    if best is not None:
+        return best.lattice
+    # A faint lattice may confirm the camera; it is too uncertain to refute it.
+    for near in seen[1:]:
+        misfit = Misfit.between(straight, near.lattice)
+        faint = near.evidence.probability > _LIKELY_AT_BASIS
+        if faint and misfit is not None and misfit.is_small:
+            return straight
     return None
+
+
+def _choose(candidates: list[Candidate]) -> Candidate | None:
+    """The most probable of likely candidates, of equal ones that of the highest rank."""
+    likely = [one for one in candidates if one.evidence.probability > _LIKELY]
+    return max(
+        likely,
+        key=lambda one: (round(one.evidence.probability, 2), one.evidence.rank),
+        default=None,
+    )
+
+
+def _fit(picture: Singles, given: Lattice, start: Lattice) -> Misfit | None:
+    """The offset of the lattice of a picture from the given one, by a fit to the edges between
+    microimages; None if that is unsure.
+    """
+    from ..images.preprocessing import edge_strength, normalise_locally
+    from ..scene_fit.fit import fit_scene
+
+    rims = normalise_locally(edge_strength(picture), 0.5 * given.pitch)
+    try:
+        fit = fit_scene(rims, start, _CHECKED_LENSES)
+    except (CalibrationError, np.linalg.LinAlgError):
+        return None
+    if not fit.half_difference < _HALVES * given.pitch:
+        return None
+    found = fit.lattice
+    index = given.indices()[evenly(len(given), ENOUGH_LENSES)]
+    centres = given.points(index)
+    # Lenses are counted from the middle one, so that all offsets point to the same side.
+    own = found.to_index(centres)
+    first = found.to_index(given.points(given.middle[None]))
+    away = found.points(np.rint(first) + np.rint(own - first)) - centres
+    # A linear map is fitted: a single flat does not separate distortion from scene content.
+    middle = (np.array(given.image_size) - 1) / 2
+    design = np.column_stack([np.ones(len(centres)), centres - middle])
+    change: Array = np.linalg.lstsq(design, away, rcond=None)[0]
+    return Misfit(change[0], change[1:], given.image_size, given.pitch)
+
+
+def _without_vignetting(calibration: Calibration, fitted: Misfit, factor: int) -> Misfit:
+    """The offset without that of rims that mechanical vignetting moves: the gain map shows it."""
+    from ..gain.rows import RegionGain
+
+    gain = calibration.gain_map
+    lattice = calibration.lattice
+    if gain is None or len(gain.cut) == 0:
+        return fitted
+    light = np.nan_to_num(RegionGain(gain, lattice).at(0, 0, *lattice.image_size))
+    small = lattice.downscaled(factor)
+    rims = _fit(reduce_flat(light, factor), small, small)
+    if rims is None:
+        return fitted
+    return fitted._replace(shift=fitted.shift - rims.shift, linear=fitted.linear - rims.linear)

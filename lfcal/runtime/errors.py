@@ -13,6 +13,7 @@ __all__ = [
     "RAW_FLAT_ADVICE",
     "BoardError",
     "CalibrationError",
+    "CameraError",
     "CameraFileError",
     "FlatError",
     "LightFieldError",
@@ -63,6 +64,17 @@ class CalibrationError(LightFieldError, ValueError):
     >>> lfcal.calibrate(numpy.full((300, 400), 100, numpy.uint8))  # doctest: +ELLIPSIS
     Traceback (most recent call last):
     lfcal.runtime.errors.CalibrationError: the image is one even grey; ...
+    """
+
+
+class CameraError(CalibrationError):
+    """A flat was made with another camera than the given one.
+
+    Examples
+    --------
+    >>> import lfcal
+    >>> issubclass(lfcal.CameraError, lfcal.CalibrationError)
+    True
     """
 
 

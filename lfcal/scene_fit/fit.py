@@ -21,7 +21,7 @@ from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import sample_mask
 from ..lattice.robust_fit import LatticeFit, field_rms
 from ..lattice.standard_errors import equal_weight_errors
-from ..runtime.arrays import Booleans, Floats, Integers, Singles
+from ..runtime.arrays import ENOUGH_LENSES, Booleans, Floats, Integers, Singles, evenly
 from ..runtime.errors import CalibrationError
 from .irls import LensShifts, error_inflation, find_regular_ratio, solve_irls
 from .template import build_lens_equations
@@ -69,7 +69,15 @@ def fit_lattice_to_scenes(lights: list[Singles], picture: Singles, start: Candid
     if fit.residual_rms > 0.02 * found.pitch and not fit.half_difference < start.half_difference:
         # Single lenses scatter too much: averages of whole tiles are the better measure.
         return LatticeFit(found, fit.residual_rms, fit.lenses_used, start.half_difference)
-    return fit
+    return replace(fit, displacement=_displacement(found, fit.lattice))
+
+
+def _displacement(found: Lattice, lattice: Lattice) -> float:
+    """`LatticeFit.displacement` of a lattice from the one that its fit began at."""
+    places = found.centres()[evenly(len(found), ENOUGH_LENSES)]
+    away = lattice.points(np.rint(lattice.to_index(places))) - places
+    design = np.column_stack([np.ones(len(places)), places - places.mean(0)])
+    return field_rms(design, np.linalg.lstsq(design, away, rcond=None)[0])
 
 
 def fit_scene(picture: Singles, lattice: Lattice, most: int = 8000) -> LatticeFit:

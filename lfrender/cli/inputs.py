@@ -50,6 +50,7 @@ class CaptureInput:
     # it is analysed.
     camera: Path | None = None
     white: Path | None = None
+    no_check: bool = False  # the camera is used whatever the flat shows
     depth_file: Path | None = None
     dark: Path | None = None  # frame that is subtracted from the flat and from the white image
     preset: Preset | None = None
@@ -187,7 +188,7 @@ class CaptureInput:
             raise click.UsageError(f"{self.flat} is in colour already; leave out --mosaic")
         known = None
         if self.camera is not None:
-            known = _read_camera(self.camera, pixels)
+            known = self._read_camera(self.camera, pixels)
         elif self.white is None and self.recording is not None:
             known = self.recording.camera
         if known is not None:
@@ -211,6 +212,40 @@ class CaptureInput:
             # A dark frame can be subtracted from linear values only.
             return replace(calibration, encoded=False)
         return calibration
+
+    def _read_camera(self, path: Path, pixels: NDArray[Any] | FlatSource) -> Calibration:
+        """A camera file for flats of this size, as the pixels confirm it.
+
+        Colour filters that a published one does not know are found on the flat.
+        """
+        import numpy as np
+
+        from lfcal import load, widen_microimages
+
+        from ..depth.region import crop_lattice
+
+        size = np.array(pixels.shape[1::-1])
+        calibration = load(path, (int(size[0]), int(size[1])))
+        if isinstance(pixels, np.ndarray):
+            checked = self._check(calibration, pixels, path)
+            if pixels.ndim == 2:
+                checked = checked.with_mosaic_of(pixels)
+            return widen_microimages(checked, pixels)
+        # The middle of a flat that is not in memory; even, so that a colour filter mosaic keeps its
+        # phase.
+        low = np.maximum(size - _CHECKED, 0) // 4 * 2
+        high = np.minimum(low + _CHECKED, size)
+        part = pixels.read(*low.tolist(), *high.tolist())
+        lattice = calibration.lattice
+        shown = replace(calibration, lattice=crop_lattice(lattice, low, high), gain_map=None)
+        checked = self._check(shown, part, path)
+        shift = checked.lattice.origin - shown.lattice.origin
+        calibration = replace(
+            calibration,
+            lattice=replace(lattice, origin=lattice.origin + shift),
+            warnings=checked.warnings,
+        )
+        return calibration.with_mosaic_of(part) if part.ndim == 2 else calibration
 
     def _calibrate_scene(self, pixels: NDArray[Any]) -> Calibration:
         from lfcal import calibrate
@@ -238,8 +273,17 @@ class CaptureInput:
         mosaic = self.mosaic if white.ndim == 2 else None
         with name_file_in_errors(path):
             calibration = calibrate(white, kind="white", mosaic=mosaic)
+        calibration = self._check(calibration, pixels, path)
         # Scenes show more of which filters are red.
         return widen_microimages(calibration.with_mosaic_of(pixels), pixels)
+
+    def _check(self, calibration: Calibration, pixels: NDArray[Any], source: Path) -> Calibration:
+        """The camera of a file or white image, as the pixels confirm it (`CameraCheck.apply`)."""
+        from lfcal import check_camera
+
+        if self.no_check:
+            return calibration
+        return check_camera(pixels, calibration).apply(calibration, source)
 
     def analyze(self, pixels: NDArray[Any], calibration: Calibration, **options: Any) -> DepthMap:
         """The depth of the file, or of the flat in colour; `options` as for `lfrender.analyze`."""
@@ -248,7 +292,9 @@ class CaptureInput:
                 return self.read_depth(pixels)
             from .. import analyze
 
-            return analyze(pixels, calibration, preset=self.chosen_preset, **options)
+            # The camera was checked when it was read.
+            options |= {"preset": self.chosen_preset, "check": False}
+            return analyze(pixels, calibration, **options)
 
     def read_depth(self, flat: NDArray[Any] | FlatSource | None) -> DepthMap:
         """The depth of the file, with a warning if it was made from another flat of this size.
@@ -348,50 +394,4 @@ def is_published(path: Path) -> bool:
 def _agrees(calibration: Calibration, pixels: NDArray[Any]) -> bool:
     from lfcal import check_camera
 
-    return (
-        calibration.image_size == pixels.shape[1::-1]
-        and check_camera(pixels, calibration).problem is None
-    )
-
-
-def _read_camera(path: Path, pixels: NDArray[Any] | FlatSource) -> Calibration:
-    """A camera file for flats of this size, with a warning if the pixels contradict it.
-
-    A published one is moved onto the microimages where the flat is a crop of the sensor; colour
-    filters that it does not know are found on the flat. Raises CameraFileError where the flat shows
-    another lattice.
-    """
-    import numpy as np
-
-    from lfcal import check_camera, load, widen_microimages
-
-    from ..depth.region import crop_lattice
-
-    size = np.array(pixels.shape[1::-1])
-    calibration = load(path, (int(size[0]), int(size[1])))
-    if isinstance(pixels, np.ndarray):
-        part = pixels
-        shown = calibration
-    else:
-        # The middle of a flat that is not in memory; even, so that a colour filter mosaic keeps its
-        # phase.
-        low = np.maximum(size - _CHECKED, 0) // 4 * 2
-        high = np.minimum(low + _CHECKED, size)
-        part = pixels.read(*low.tolist(), *high.tolist())
-        shown = replace(
-            calibration, lattice=crop_lattice(calibration.lattice, low, high), gain_map=None
-        )
-    check = check_camera(part, shown)
-    if check.adjusted is not None and is_published(path) and part is pixels:
-        warning = (
-            "as published, the lattice lies beside the microimages, as in crops of a "
-            "sensor; it was moved there"
-        )
-        calibration = replace(check.adjusted, warnings=(*calibration.warnings, warning))
-    else:
-        calibration = check.warn(calibration, path)
-    if part.ndim == 2:
-        calibration = calibration.with_mosaic_of(part)
-    if part is pixels:
-        return widen_microimages(calibration, part)
-    return calibration
+    return calibration.image_size == pixels.shape[1::-1] and check_camera(pixels, calibration).fits

@@ -35,6 +35,12 @@ TABLE = {
         "is calibrated.",
     ),
     "white": _row("--white", cl.INPUT, "Calibrate from this white image of the same camera."),
+    "no_check": _row(
+        "--no-check",
+        bool,
+        "Use the camera whatever the flat shows; else another camera is an error (exit code 2), "
+        "and a shifted one is moved onto the microimages.",
+    ),
     "depth_file": _row("--depth depth_file", cl.INPUT, "Depth map made by 'lfrender analyze'."),
     "dark": (cl.DARK, {}),
     "preset": _row(

@@ -30,7 +30,7 @@ __all__ = [
 
 #: Options of all commands on captures, by their titles in the help.
 _CAPTURE = {
-    "Files": ("camera", "white", "depth_file", "dark"),
+    "Files": ("camera", "white", "no_check", "depth_file", "dark"),
     "Depth analysis": ("preset",),
     "Reading FLAT": ("roi", "mosaic", "page", "size", "pixel_format"),
 }

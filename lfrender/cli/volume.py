@@ -78,7 +78,6 @@ def volume(capture: CaptureInput, given: Any) -> None:
         pixels = frame.read()
         if calibration is None:
             pixels, calibration = capture.calibrate(pixels)
-            _check_white(capture, calibration, pixels)
         target = output
         if not one_file:
             target /= f"{frame.name}.ome.tif"
@@ -94,6 +93,7 @@ def volume(capture: CaptureInput, given: Any) -> None:
                 voxels=given.voxels,
                 start=found,
                 progress=step,
+                check=False,
             )
         with report.stage("write"):
             found.save(target)
@@ -120,17 +120,6 @@ def volume(capture: CaptureInput, given: Any) -> None:
         _describe(found),
         f"{where}, in {report.took}.",
     )
-
-
-def _check_white(capture: CaptureInput, calibration: Calibration, pixels: Any) -> None:
-    """Raise an error if the white image is of another camera than the first flat."""
-    from lfcal import CalibrationError, check_camera
-
-    if capture.white is None:
-        return
-    problem = check_camera(pixels, calibration).problem
-    if problem is not None:
-        raise CalibrationError(f"{capture.white}: is the white image of another camera: {problem}")
 
 
 def _describe(found: Volume) -> str:

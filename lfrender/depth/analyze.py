@@ -13,7 +13,7 @@ from lfcal.runtime.progress import Progress, show_progress
 from ..data.depth_map import DepthMap
 from ..data.flat_samples import sample_flat
 from ..flat.lens_blur import find_lens_blur
-from ..flat.validation import check_flat, exposure_rows, match_exposure
+from ..flat.validation import check_flat, exposure_rows, match_exposure, verify_camera
 from ..runtime.choices import Preset, Shortcut, check_choice
 from .edges.locate_edges import locate_edges
 from .incremental import update_depth
@@ -36,6 +36,7 @@ def analyze(
     roi: tuple[float, float, float, float] | None = None,
     previous: tuple[NDArray, DepthMap] | None = None,
     edges: bool | None = None,
+    check: bool = True,
     progress: Progress = None,
 ) -> DepthMap:
     """Estimate the signed patch size, mode and magnification of every microlens.
@@ -70,6 +71,9 @@ def analyze(
         Locate depth edges of the surface on the pixels of the microimages, which draws scenes with
         occlusion 1 to 3 dB better and takes about as long as the rest of `"balanced"`. By default
         `"balanced"` does so.
+    check : bool
+        Check first that the flat shows the lattice of this camera, as `lfcal.check_camera` does; not
+        done with `previous`.
     progress : bool or callable, optional
         True shows a bar on a terminal or in a notebook, and compiles the kernels of a new
         installation first; a function is called with the numbers of finished and of all stages.
@@ -84,6 +88,8 @@ def analyze(
         If `flat` is not a picture of finite numbers, or the earlier flat is of another kind.
     CalibrationError
         If `calibration` was made for another image size.
+    CameraError
+        If the flat was made with another camera, or its microimages lie beside those of this one.
     ValueError
         If an option has no meaning, or no lens lies in `roi`.
 
@@ -107,6 +113,8 @@ def analyze(
     edges = PRESETS[preset].edges if edges is None else edges
     shortcuts = Shortcuts.of(skip)
     flat = check_flat(flat, calibration)
+    if check and previous is None:
+        verify_camera(flat, calibration)
     calibration = match_exposure(flat[exposure_rows(len(flat))], calibration)
     lattice = calibration.lattice
     if previous is not None and not (

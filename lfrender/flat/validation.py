@@ -8,10 +8,17 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal import Calibration, CalibrationError, FlatError, check_pixels
+from lfcal import (
+    Calibration,
+    CalibrationError,
+    CameraError,
+    FlatError,
+    check_camera,
+    check_pixels,
+)
 from lfcal.runtime.errors import CAMERA_ADVICE, check_type
 
-__all__ = ["check_flat", "exposure_rows", "match_exposure"]
+__all__ = ["check_flat", "exposure_rows", "match_exposure", "verify_camera"]
 
 # Largest float of a flat, where white is 1: noise and gain reach above white, but not beyond this.
 # Set by hand.
@@ -47,6 +54,20 @@ def check_flat(flat: NDArray, calibration: Calibration) -> NDArray:
 
         return demosaic(array, calibration)
     return array[:, :, None]
+
+
+def verify_camera(flat: NDArray, calibration: Calibration) -> None:
+    """CameraError if a flat of `check_flat` shows another lattice than that of its camera, or shows
+    it beside.
+    """
+    colours = 1 if flat.shape[2] < 3 else 3
+    check = check_camera(flat[..., :colours].squeeze(), calibration, lens_types=False)
+    if check.usable and check.adjusted is None:
+        return
+    remedy = "check=False uses the camera all the same"
+    if check.adjusted is not None:
+        remedy = f"lfcal.check_camera(...).adjusted is moved onto the microimages; {remedy}"
+    raise CameraError(f"{check.problem} ({remedy})")
 
 
 def exposure_rows(height: int) -> NDArray[np.int64]:

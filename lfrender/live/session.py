@@ -385,7 +385,8 @@ class Session:
         if self._watched("sharp", "focus", "depth"):
             before = self._comparable(view, camera)
             earlier = None if before is None else (before.flat, before.depth)
-            view.depth = depth = analyze(view.flat, camera, self.preset, previous=earlier)  # type: ignore[arg-type]
+            options: dict[str, Any] = {"previous": earlier, "check": False}
+            view.depth = depth = analyze(view.flat, camera, self.preset, **options)
             self.still = float(depth.saved.get("still", 0.0)) if before else 0.0
             message = find_depth_problem(depth) or ""
             if self.scale is None and not message and not view.shot.recorded:

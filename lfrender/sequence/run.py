@@ -225,7 +225,9 @@ class Run:
 
     def _analyze(self, flat: Array, before: _Reference | None) -> DepthMap:
         previous = None if before is None else (before.flat, before.depth)
-        return analyze(flat, self._camera(flat), self.options.preset, previous=previous)
+        return analyze(
+            flat, self._camera(flat), self.options.preset, previous=previous, check=False
+        )
 
     def _draw(self, flat: Array, depth: DepthMap, before: _Reference | None = None) -> Rendering:
         camera = self._camera(flat)

@@ -9,7 +9,7 @@ from lfcal.runtime.arrays import Array, Floats, Singles
 from lfcal.runtime.errors import check_type
 from lfcal.runtime.progress import Progress, show_progress
 
-from ..flat.validation import check_flat
+from ..flat.validation import check_flat, verify_camera
 from .footprint import blur_planes
 from .grid import VoxelGrid
 from .microscope import Microscope, Scale
@@ -39,6 +39,7 @@ def reconstruct_volume(
     steps: int = 40,
     voxels: int = 8,
     start: Volume | None = None,
+    check: bool = True,
     progress: Progress = None,
 ) -> Volume:
     """Deconvolve a flat of a light-field microscope into a volume (experimental).
@@ -66,6 +67,8 @@ def reconstruct_volume(
         Along each side of a microlens.
     start : Volume, optional
         Of the frame before, on the same grid: fewer steps are needed.
+    check : bool
+        As in `analyze`; not done with `start`.
     progress : bool or callable, optional
         True shows a bar; a function is called with the numbers of finished and of all steps.
 
@@ -77,8 +80,8 @@ def reconstruct_volume(
     ------
     ValueError
         An argument is out of range, or all planes lie where nothing is resolved.
-    FlatError, CalibrationError
-        As for `render`.
+    FlatError, CalibrationError, CameraError
+        As for `analyze`.
 
     Examples
     --------
@@ -93,6 +96,8 @@ def reconstruct_volume(
     for name, value, least in (("planes", planes, 2), ("steps", steps, 1), ("voxels", voxels, 2)):
         if int(value) != value or value < least:
             raise ValueError(f"{name} must be a whole number of at least {least}, got {value}")
+    if check and start is None:
+        verify_camera(pixels, calibration)
     optics = microscope or Microscope()
     check_type(optics, Microscope, "microscope", "lfrender.volume.microscope.Microscope is one")
     lattice = calibration.lattice

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,9 @@ import lfcal
 
 def test_shift_of_a_third_of_the_pitch_is_noticed_and_undone(white, angle=220):
     check = lfcal.check_camera(white.image, white.moved([20.3 / 3, 0] @ white.turn(angle)))
-    assert check.fits and "6.8 px" in check.problem
+    assert not check.fits and check.usable and "6.8 px" in check.problem
+    moved = check.apply(white.camera, "camera.json")
+    assert moved.lattice is check.adjusted.lattice and "was moved onto" in moved.warnings[-1]
     away = white.camera.lattice.to_index(check.adjusted.lattice.origin[None])[0]
     assert np.linalg.norm((away - np.rint(away)) @ white.camera.lattice.basis) < 0.05
 
@@ -34,7 +37,9 @@ def test_turned_and_mirrored_flats_are_noticed(whites):
     image, origin = whites.white_image(basis, (360, 360))
     camera = lfcal.Calibration(lfcal.Lattice(origin, basis, (360, 360), 9.0))
     turned = lfcal.check_camera(np.rot90(image).copy(), camera)
-    assert not turned.fits and "rows" in turned.problem
+    assert not turned.usable and "rows" in turned.problem
+    with pytest.raises(lfcal.CameraError, match=r"camera\.json: the flat was not made with"):
+        turned.apply(camera, "camera.json")
     assert lfcal.check_camera(image[:, ::-1].copy(), camera).problem is not None
 
 
@@ -43,7 +48,7 @@ def test_published_calibration_of_the_whole_sensor_serves_a_crop(shared):
     check = lfcal.check_camera(
         flat, lfcal.load(shared("captures", "R42_crop.published.xml"), flat.shape[1::-1])
     )
-    assert check.fits and lfcal.check_camera(flat, check.adjusted).problem is None
+    assert check.usable and lfcal.check_camera(flat, check.adjusted).fits
 
 
 def test_another_camera_of_the_same_kind_is_noticed_by_all_checks(shared):
@@ -51,7 +56,36 @@ def test_another_camera_of_the_same_kind_is_noticed_by_all_checks(shared):
     other = lfcal.load(shared("captures", "Fujita2.other_camera.json"))
     found = lfcal.check_fit(other, flat)
     assert 0.8 < found.max_offset < 1.1
-    assert lfcal.check_camera(flat, other).problem == found.warning is not None
+    assert lfcal.check_camera(flat, other).problem == found.warning
+    assert found.warning is not None
+
+
+@pytest.mark.parametrize("shift", [0.08, 0.12, 0.35])
+def test_small_and_large_shifts_of_a_capture_are_undone(shared, shift):
+    flat = lfcal.read_flat(shared("captures", "Wall.png"))
+    camera = replace(lfcal.calibrate(flat), gain_map=None)
+    lattice = camera.lattice
+    origin = lattice.origin + shift * lattice.pitch * np.array([0.8, 0.6])
+    check = lfcal.check_camera(flat, replace(camera, lattice=replace(lattice, origin=origin)))
+    index = lattice.to_index(check.adjusted.lattice.origin[None])[0]
+    assert np.linalg.norm((index - np.rint(index)) @ lattice.basis) < 0.02 * lattice.pitch
+
+
+@pytest.mark.parametrize(
+    ("folder", "name"),
+    [
+        ("captures", "Boys2.webp"),
+        ("captures", "Faint.white.tif"),
+        ("captures", "Letras.png"),
+        ("captures/hard", "spots_white.png"),
+        ("kinds", "types3.png"),
+    ],
+)
+def test_camera_is_not_contradicted_on_the_flat_it_was_calibrated_on(shared, folder, name):
+    flat = lfcal.read_flat(shared(*folder.split("/"), name))
+    camera = lfcal.calibrate(flat)
+    check = lfcal.check_camera(flat, camera)
+    assert check.fits and check.checked and lfcal.check_fit(camera, flat).warning is None
 
 
 def test_the_earlier_order_of_arguments_is_deprecated(white):

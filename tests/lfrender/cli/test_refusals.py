@@ -34,6 +34,18 @@ def test_options_that_make_no_sense_are_one_line(ask, tmp_path, words, run, asse
     assert os.listdir(tmp_path) == []
 
 
+def test_white_image_of_another_camera_is_refused(
+    house, house_files, tmp_path, run, assert_refused
+):
+    white = house.white
+    height, width = white.shape[:2]
+    scaled = cv2.resize(white, None, fx=1.3, fy=1.3, interpolation=cv2.INTER_CUBIC)
+    cv2.imwrite(str(tmp_path / "other.png"), scaled[:height, :width])
+    words = ("--white", tmp_path / "other.png", "-o", tmp_path / "p.png", "--preset", "fast")
+    refused = run("render", house_files / "flat.png", *words)
+    assert_refused(refused, "other.png", "not made with this camera")
+
+
 @pytest.mark.parametrize("command", ["render", "analyze"])
 def test_a_camera_is_checked_against_the_flat_before_that_is_analysed(
     command, house, house_files, moved, tmp_path, run, assert_refused
@@ -48,9 +60,14 @@ def test_a_camera_is_checked_against_the_flat_before_that_is_analysed(
     told = run(command, flat, "-c", moved, "-o", output, "--preset", "fast")
     assert told.exit_code == 0
     assert "warning: the microimages lie 5.0 px beside those of the camera" in told.stderr
+    assert "was moved onto the microimages" in told.stderr
     output.unlink()
     other = run(command, flat, "-c", tmp_path / "other.json", "-o", output, "--preset", "fast")
     assert_refused(other, "other.json", "not made with this camera")
+    words = ("-c", tmp_path / "other.json", "-o", output, "--preset", "fast", "--no-check")
+    known = run(command, flat, *words)
+    assert known.exit_code == 0 and "not made with" not in known.stderr
+    output.unlink()
     part = run(command, tmp_path / "part.png", "-c", house_files / "camera.json", "-o", output)
     assert_refused(part, "420 x 330", "400 x 320")
     white = run(command, tmp_path / "part.png", "--white", house_files / "white.png", "-o", output)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from lfcal import Calibration, FlatError, Lattice
+from lfcal import Calibration, CameraError, FlatError, Lattice
 from lfrender import analyze
 from lfrender.flat.validation import exposure_rows, match_exposure
 
@@ -78,3 +80,22 @@ def test_arrays_are_analysed_as_files_are():
 def test_arrays_whose_light_is_unknown_are_refused(change, reason):
     with pytest.raises(FlatError, match=f"flat.*{reason}"):
         analyze(change(_plane()), _CAMERA, "fast")
+
+
+def _changed(camera, shift, degrees):
+    """A camera with its lattice shifted [pitch] and turned about the middle of the flat."""
+    lattice = camera.lattice
+    cos = np.cos(np.radians(degrees))
+    sin = np.sin(np.radians(degrees))
+    turn = np.array([[cos, sin], [-sin, cos]])
+    middle = (np.array(lattice.image_size) - 1) / 2
+    origin = middle + (lattice.origin - middle) @ turn + [shift * lattice.pitch, 0]
+    return replace(camera, lattice=replace(lattice, origin=origin, basis=lattice.basis @ turn))
+
+
+@pytest.mark.parametrize(("shift", "degrees"), [(0.5, 0.0), (0.0, 5.0), (0.0, 15.0)])
+def test_analysis_with_a_wrong_camera_is_an_error(house, shift, degrees):
+    wrong = _changed(house.truth.calibration, shift, degrees)
+    with pytest.raises(CameraError, match="check=False"):
+        analyze(house.flat, wrong, "fast")
+    assert analyze(house.flat, wrong, "fast", check=False).preset == "fast"
