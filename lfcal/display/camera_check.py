@@ -88,9 +88,7 @@ class CameraCheck:
         return replace(calibration, warnings=(*calibration.warnings, *warnings))
 
 
-def check_camera(
-    flat: ArrayLike, calibration: Calibration, lens_types: bool = True
-) -> CameraCheck:
+def check_camera(flat: ArrayLike, calibration: Calibration, lens_types: bool = True) -> CameraCheck:
     """Check whether a flat can have been made with a camera, in about a tenth of a second.
 
     The check finds turned or mirrored flats, shifts of more than a tenth of the pitch, pitches that

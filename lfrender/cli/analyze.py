@@ -9,10 +9,10 @@ import click
 
 from lfcal.runtime.output_file import check_output
 
-from . import figures
 from .inputs import CaptureInput, is_large
 from .options import at_most_one, capture_command, connect_cluster, option_errors
-from .results import AnalyzeResult
+from .printed import figures
+from .printed.results import AnalyzeResult
 
 if TYPE_CHECKING:
     from lfcal import Calibration, Optics

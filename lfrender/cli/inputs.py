@@ -16,7 +16,7 @@ from lfcal.runtime.command_line import Report, name_file_in_errors
 from lfcal.runtime.image_formats import RAW_SUFFIX, TIFF_SUFFIXES, VIDEO_FORMATS, Mosaic
 
 from ..runtime.choices import Preset
-from . import figures
+from .printed import figures
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -16,7 +16,7 @@ from lfcal.runtime.output_file import make_folder
 
 from .inputs import CaptureInput
 from .options import at_most_one, declare
-from .results import PageResult
+from .printed.results import PageResult
 
 if TYPE_CHECKING:
     from lfcal import Calibration

@@ -13,8 +13,8 @@ from .analyze import analyze
 from .live import live
 from .options import declare
 from .pages import demo, report, view
+from .printed.results import WarmResult
 from .render import render
-from .results import WarmResult
 from .sequence import batch
 from .views import lenslet, refocus, views
 from .volume import volume

@@ -14,10 +14,10 @@ from lfcal.runtime import command_line as cl
 from lfcal.runtime.command_line.interrupts import end_by_interrupt
 from lfcal.runtime.output_file import check_folder, check_output
 
-from . import figures
 from .inputs import CaptureInput
 from .options import capture_command
-from .results import DemoResult, PageResult, ReportResult
+from .printed import figures
+from .printed.results import DemoResult, PageResult, ReportResult
 
 if TYPE_CHECKING:
     from lfcal import Calibration

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from . import figures
 from .inputs import CaptureInput, is_large
 from .options import at_most_one, capture_command, connect_cluster, option_errors
-from .results import RenderResult
+from .printed import figures
+from .printed.results import RenderResult
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -14,10 +14,10 @@ from lfcal import CameraFileError, FlatError
 from lfcal.runtime import command_line as cl
 from lfcal.runtime.output_file import check_folder
 
-from .figures import percent
 from .inputs import CaptureInput
 from .options import capture_command, connect_cluster, option_errors
-from .results import BatchResult
+from .printed.figures import percent
+from .printed.results import BatchResult
 
 if TYPE_CHECKING:
     from pathlib import Path

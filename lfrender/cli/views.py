@@ -12,10 +12,10 @@ import click
 from lfcal.runtime import command_line as cl
 from lfcal.runtime.output_file import check_folder, check_output
 
-from . import figures
 from .inputs import MOVING, CaptureInput
 from .options import at_most_one, capture_command, declare, option_errors
-from .results import LensletResult, RefocusResult, ViewsResult
+from .printed import figures
+from .printed.results import LensletResult, RefocusResult, ViewsResult
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

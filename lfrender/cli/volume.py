@@ -9,10 +9,10 @@ import click
 
 from lfcal.runtime.output_file import check_folder, make_folder
 
-from . import figures
 from .inputs import CaptureInput
 from .options import capture_command, option_errors
-from .results import VolumeResult
+from .printed import figures
+from .printed.results import VolumeResult
 
 if TYPE_CHECKING:
     from lfcal import Calibration

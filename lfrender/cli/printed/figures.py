@@ -8,8 +8,8 @@ if TYPE_CHECKING:
     from lfcal import Calibration, Optics
     from lfcal.runtime.arrays import Array
 
-    from ..data.depth_map import DepthMap
-    from ..data.rendering import Rendering
+    from ...data.depth_map import DepthMap
+    from ...data.rendering import Rendering
 
 __all__ = [
     "capture_figures",
@@ -64,8 +64,8 @@ def capture_figures(
         figures["warnings"].append(problem)
     import numpy as np
 
-    from ..data.depth_map import MODES, REASONS, finite
-    from ..rendering.traditional import find_depth_problem
+    from ...data.depth_map import MODES, REASONS, finite
+    from ...rendering.traditional import find_depth_problem
 
     if problem := find_depth_problem(depth):
         figures["warnings"].append(problem)

@@ -1,0 +1,1 @@
+"""What commands print: figures, sentences, and the objects of `--json`."""
