@@ -138,7 +138,9 @@ TABLE = {
         default=0.7,
         show_default=True,
     ),
-    "resize": _row("--resize", cl.SIZE, "Size of the views [px]."),
+    "resize": _row(
+        "--resize", cl.SIZE, "Width and height of the pictures [px], in place of --scale."
+    ),
     "grid_format": _row(
         "--format suffix",
         str,

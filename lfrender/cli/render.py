@@ -30,7 +30,7 @@ __all__ = ["render"]
     "lfrender render flat.png --white white.png --patch-size -8.5 -o binocular.png",
     output=("PICTURE", "Picture to write: .tif, .png, .jpg, ...", ".png"),
     own={
-        "What to draw": "patch_size blend traditional scale edges detail",
+        "What to draw": "patch_size blend traditional scale resize edges detail",
         "How to write it": "eight_bits exposure tone white_balance alpha compress tile",
         "Several processes": "workers scheduler",
     },
@@ -69,15 +69,24 @@ def render(capture: CaptureInput, given: Any) -> None:
     with capture.report.stage("render"), option_errors():
         from .. import render as run
         from .. import traditional as run_traditional
+        from ..output.views import resize_view, scale_for_size
         from ..rendering.traditional import TOO_LITTLE, find_depth_problem
 
-        if depth is not None and not (given.scale or capture.roi) and find_depth_problem(depth):
+        if given.resize:
+            drawing["scale"] = scale_for_size(calibration, given.resize)
+        if (
+            depth is not None
+            and not (drawing["scale"] or capture.roi)
+            and find_depth_problem(depth)
+        ):
             traditional = True
             capture.report.warn(TOO_LITTLE.format("--scale"))
         if traditional:
             picture = run_traditional(pixels, calibration)
         else:
             picture = run(pixels, calibration, depth, roi=capture.roi, **drawing)
+        if given.resize:
+            picture = resize_view(picture, given.resize)
     drawn = depth
     if traditional:
         drawn = None
@@ -178,7 +187,8 @@ def _check(capture: CaptureInput, given: Any) -> bool:
     mean = ("--traditional", given.traditional)
     on_cluster = given.workers or given.scheduler
     at_most_one("--depth", depth_file, "--patch-size", patch_size, *mean)
-    at_most_one("--scale", given.scale, *mean)
+    at_most_one("--scale", given.scale, "--resize", given.resize, *mean)
+    at_most_one("--resize", given.resize, "--roi", roi)
     at_most_one("--detail", given.detail, "--patch-size", patch_size, *mean)
     at_most_one("--roi", roi, *mean, "--tile", given.tile)
     at_most_one("--workers or --scheduler", on_cluster, "--roi", roi, *mean)
@@ -201,6 +211,7 @@ def _check(capture: CaptureInput, given: Any) -> bool:
         "--exposure": given.exposure,
         "--tone": given.tone != "auto",
         "--white-balance": given.white_balance != "auto",
+        "--resize": given.resize,
     }
     for option, value in changes.items():
         if in_tiles and value:

@@ -45,7 +45,7 @@ _GRID = (5, 5)
         ".png",
     ),
     own={
-        "What to draw": "at patch_sizes stack focus_aperture scale",
+        "What to draw": "at patch_sizes stack focus_aperture scale resize",
         "How to write it": "eight_bits exposure tone white_balance",
     },
 )
@@ -63,6 +63,7 @@ def refocus(capture: CaptureInput, given: Any) -> None:
     sizes = list(given.patch_sizes)
     stack = given.stack
     at_most_one("--patch-size", sizes or None, "--at", at, "--stack", stack)
+    at_most_one("--resize", given.resize, "--scale", given.scale, "--roi", capture.roi)
     moving = output.suffix.lower() in MOVING
     if moving and (at or len(sizes) == 1):
         raise click.UsageError(
@@ -83,9 +84,12 @@ def refocus(capture: CaptureInput, given: Any) -> None:
     with report.stage("render"), option_errors():
         from .. import focal_stack
         from .. import refocus as run
+        from ..output.views import resize_view, scale_for_size
         from ..rendering.refocus import stack_depths
 
         drawing = {"aperture": given.aperture, "scale": given.scale, "depth": depth}
+        if given.resize:
+            drawing["scale"] = scale_for_size(calibration, given.resize)
         if depth is not None and stack:
             sizes = stack_depths(depth, stack)
         if len(sizes) > 1:
@@ -93,6 +97,8 @@ def refocus(capture: CaptureInput, given: Any) -> None:
         else:
             pictures = [run(pixels, calibration, *sizes, position=at, **drawing)]
         pictures = [_cut(picture, capture, calibration) for picture in pictures]
+        if given.resize:
+            pictures = [resize_view(picture, given.resize) for picture in pictures]
     settings = [
         {"rendering": "refocused", "patch_size": size, "at": at} for size in (sizes or (None,))
     ]

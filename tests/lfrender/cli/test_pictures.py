@@ -54,6 +54,19 @@ def test_render_calibrates_from_the_flat_or_a_white_image(house, house_files, tm
         assert drawn["pitch"] == pytest.approx(house.camera.pitch, abs=0.1)
 
 
+@pytest.mark.parametrize(
+    "words", [("render",), ("render", "--patch-size", "5"), ("refocus", "--patch-size", "5")]
+)
+def test_resize_gives_the_size_and_keeps_the_scene(house, ask, tmp_path, figures_of, words):
+    output = tmp_path / "picture.png"
+    figures_of(*ask(*words, "--resize", "210x165", "-o", output))
+    assert lfcal.read_flat(output).shape[:2] == (165, 210)
+    with Image.open(output) as image:
+        affine = np.array(json.loads(image.info["Description"])["affine"])
+    # The last pixel lies where it does on the flat of 420 x 330 px.
+    np.testing.assert_allclose(affine @ [209, 164, 1], [418.5, 328.5], atol=2)
+
+
 def test_scale_is_the_number_of_pixels_per_pitch(house, ask, tmp_path, figures_of):
     drawn = figures_of(
         *ask("render", "--patch-size", "5", "--scale", "10", "-o", tmp_path / "picture.png")
