@@ -103,7 +103,7 @@ class _Camera(Struct):
     warnings: list[_Text]
     # Files of earlier versions do not have the following fields.
     mosaic: Mosaic | None = None
-    white_level: Annotated[float, Meta(gt=0, lt=2**53)] | None = None
+    white_level: Annotated[float, Meta(ge=1, lt=2**53)] | None = None
     encoded: bool | None = None
     mosaic_guessed: bool = False
     white_balance: tuple[_Gain, _Gain, _Gain] | None = None

@@ -128,7 +128,8 @@ def balance_mosaic(
 
     They are the ratios of the summed light of squares of 2 x 2 pixels that are neither clipped nor
     at the rims of microimages. `level` is the white level of the sensor; `encoded` as in `is_encoded`.
-    None if nearly everything is clipped.
+    None if nearly everything is clipped. All are 1 where green is the darkest: a sensor sees less red
+    or less blue by any lamp, so that the camera has balanced its colours already.
     """
     height, width = (n // 2 * 2 for n in white.shape)
     squares = white[:height, :width].reshape(height // 2, 2, width // 2, 2)
@@ -141,6 +142,9 @@ def balance_mosaic(
     bright = unclipped & (mean > _LIT * np.quantile(mean[unclipped], 0.95))
     sums = light[:, bright].mean(1)
     colours = [sums[[one == colour for one in mosaic]].mean() for colour in "RGB"]
+    red, green, blue = colours
+    if green < min(red, blue):
+        return 1.0, 1.0, 1.0
     return balance_of(np.array(colours))
 
 

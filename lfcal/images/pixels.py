@@ -184,13 +184,14 @@ def _finite(array: NDArray[Any]) -> NDArray[np.float32]:
         single = array.astype(np.float32, copy=False)
     # A finite sum of single precision proves that no value is NaN or infinite.
     if not np.isfinite(single.sum(dtype=np.float64)):
-        bad = ~np.isfinite(single)
-        y, x = np.argwhere(bad)[0][:2]
-        raise FlatError(
-            f"{bad.sum()} values are NaN or infinite, the first at x={x}, y={y}; replace them by "
-            "the mean of their neighbours"
-        )
-    largest = max(-float(single.min()), float(single.max()))
+        bad = ~np.isfinite(array)
+        if bad.any():
+            y, x = np.argwhere(bad)[0][:2]
+            raise FlatError(
+                f"{bad.sum()} values are NaN or infinite, the first at x={x}, y={y}; replace them "
+                "by the mean of their neighbours"
+            )
+    largest = max(-float(array.min()), float(array.max()))
     if largest > _LARGEST_FLOAT:
         raise FlatError(
             f"has values up to {largest:.3g}; scale them to at most {_LARGEST_FLOAT:.0e} first"

@@ -10,7 +10,7 @@ import pytest
 
 import lfcal
 from data_synth import SCENES, Camera, simulate
-from lfcal.images.mosaic import find_mosaic
+from lfcal.images.mosaic import balance_mosaic, find_mosaic
 
 CAPTURES = Path(__file__).resolve().parents[3].parent / "shared" / "captures"
 _COLOURS = {"R": 0.45, "G": 1.0, "B": 0.6}
@@ -144,3 +144,14 @@ def test_filters_of_a_raytrix_are_found_and_no_capture_without_is_taken_for_one(
         flat = lfcal.read_flat(path)
         for grey in [flat] if flat.ndim == 2 else np.moveaxis(flat, 2, 0):
             assert find_mosaic(grey) is None, path.name
+
+
+@pytest.mark.parametrize(
+    ("colours", "gains"), [((0.5, 1, 0.4), (2, 1, 2.5)), ((0.855, 0.813, 1), (1, 1, 1))]
+)
+def test_white_balance_makes_raw_light_grey_and_leaves_balanced_light_alone(colours, gains):
+    white = np.full((200, 200), 0.6 * colours[1], np.float32)
+    white[::2, ::2] = 0.6 * colours[0]
+    white[1::2, 1::2] = 0.6 * colours[2]
+    found = balance_mosaic(white, "RGGB", None, False)
+    np.testing.assert_allclose(np.divide(found, found[1]), gains, rtol=1e-5)

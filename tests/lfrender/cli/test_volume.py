@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 
+import cv2
 import numpy as np
 import pytest
 import tifffile
@@ -106,19 +107,33 @@ def test_several_flats_want_a_folder(files, tmp_path):
     assert "give a folder" in " ".join(done.output.split())
 
 
-def test_the_white_image_of_another_camera_is_refused(tmp_path):
+@pytest.fixture(scope="module")
+def shells(tmp_path_factory):
+    """The folder of a flat of two shells, and its white image."""
     specimen = Specimen.shell(8.0, 2.0, (0, 0, 1)) + Specimen.shell(3.0, 1.0, (8, 8, -4))
     capture = trace_flat(specimen, Microscope(lenses=(23, 23)), samples=8)
-    tifffile.imwrite(tmp_path / "flat.tif", capture.flat)
-    tifffile.imwrite(tmp_path / "white.tif", np.roll(capture.white, (7, 7), (0, 1)))
-    done = _run(
-        tmp_path / "flat.tif",
-        "--white",
-        tmp_path / "white.tif",
-        "-o",
-        tmp_path / "volume.tif",
-        *SMALL,
-    )
+    folder = tmp_path_factory.mktemp("shells")
+    tifffile.imwrite(folder / "flat.tif", capture.flat)
+    return folder, capture.white
 
-    assert done.exit_code != 0
-    assert "another camera" in " ".join(done.output.split())
+
+def _reconstruct(folder, white):
+    tifffile.imwrite(folder / "white.tif", white)
+    words = (folder / "flat.tif", "--white", folder / "white.tif", "-o", folder / "volume.tif")
+    return _run(*words, *SMALL)
+
+
+def test_the_white_image_of_another_camera_is_refused(shells):
+    folder, white = shells
+    height, width = white.shape
+    wide = cv2.resize(white, None, fx=1.1, fy=1.1, interpolation=cv2.INTER_CUBIC)
+    done = _reconstruct(folder, wide[:height, :width])
+    assert done.exit_code == 2
+    assert "white.tif: the pitch on the flat is -9" in " ".join(done.output.split())
+
+
+def test_a_white_image_that_lies_beside_is_moved_onto_the_flat_with_a_warning(shells):
+    folder, white = shells
+    done = _reconstruct(folder, np.roll(white, (3, 0), (0, 1)))
+    assert done.exit_code == 0
+    assert "3.0 px beside" in done.output and "was moved onto" in done.output
