@@ -229,13 +229,14 @@ class Optics(Frozen):
         if self.covariance is not None:
             # Steps along the principal axes of the covariance move F, L and b together.
             scale = self.standard_errors
-            if (_STEP * scale[:3] >= self.parameters[:3]).any():
-                # The lengths are not known at all.
-                return np.where(np.isnan(variance), np.nan, np.inf)
             inverse = np.divide(1, scale, out=np.zeros_like(scale), where=scale > 0)
             values, axes = np.linalg.eigh(self.covariance * np.outer(inverse, inverse))
             known = values > values[-1] * 1e-15
-            for move in (_STEP * np.sqrt(values[known]) * axes[:, known]).T * scale:
+            moves = (_STEP * np.sqrt(values[known]) * axes[:, known]).T * scale
+            if (np.abs(moves[:, :3]) >= self.parameters[:3]).any():
+                # The lengths are not known at all.
+                return np.where(np.isnan(variance), np.nan, np.inf)
+            for move in moves:
                 near = self.with_parameters(self.parameters + move).distance(ratio, points)
                 far = self.with_parameters(self.parameters - move).distance(ratio, points)
                 with np.errstate(invalid="ignore"):

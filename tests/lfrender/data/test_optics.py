@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import tifffile
 
+import lfcal
 import lfrender
 from data_synth import Camera, simulate
 from data_synth.scenes import plane
@@ -142,3 +143,10 @@ def test_distances_of_lengths_that_are_not_known_have_infinite_errors():
     optics = replace(optics_of(CAMERA), covariance=covariance)
     errors = optics.distance_error([-0.3, np.nan], [0.01, 0.01])
     np.testing.assert_array_equal(errors, [np.inf, np.nan])
+
+
+def test_a_covariance_that_is_none_gives_infinite_errors_instead_of_negative_lengths():
+    covariance = np.eye(14)
+    covariance[0, 1] = covariance[1, 0] = 1e12
+    optics = lfcal.Optics(50, 58, 0.7, 0.005, covariance=covariance)
+    assert np.isinf(optics.distance_error(np.array([0.3]), np.array([0.001])))
