@@ -129,11 +129,11 @@ def fit_scene_profile(found: ProfilePixels, gain: GainMap) -> tuple[Floats, bool
     Also returns whether the scene shows the light inside microimages. If it is too dark, or
     brighter at their rims, the profile is 1 before the rim.
     """
+    from scipy.optimize import isotonic_regression
+
     types = np.zeros(len(found.sample.field), np.int8)
     light, weight, _ = found.sum_windows(gain, types, CORES[0] * gain.radius)
     pixels = weight.sum((0, 1))
-    from scipy.optimize import isotonic_regression
-
     profile = gain.profile
     measured = len(light) >= _FEWEST_WINDOWS
     rings = np.arange(len(profile))
