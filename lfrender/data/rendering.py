@@ -94,20 +94,6 @@ class PictureGrid:
         left, top, right, bottom = part
         return _intersect(self.whole, (left - halo, top - halo, right + halo, bottom + halo))
 
-    def border(self, part: Part, wide: int) -> Iterator[Part]:
-        """Where a part meets the four strips, `wide` pixels, along the border of the picture."""
-        columns, rows = self.size
-        strips = (
-            (0, 0, columns, wide),
-            (0, rows - wide, columns, rows),
-            (0, 0, wide, rows),
-            (columns - wide, 0, columns, rows),
-        )
-        for strip in strips:
-            left, top, right, bottom = common = _intersect(part, strip)
-            if left < right and top < bottom:
-                yield common
-
     def part_of_region(self, roi: tuple[float, float, float, float]) -> Part:
         """Columns and rows whose scene points lie in `x0, y0, x1, y1`, at least one of each."""
         corners = (np.array(roi).reshape(2, 2) - self.first) / self.spacing

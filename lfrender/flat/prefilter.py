@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from lfcal.runtime.kernels import kernel
 
-__all__ = ["prefilter_flat", "prefilter_packed"]
+__all__ = ["pack_flat", "prefilter_flat"]
 
 
 def prefilter_flat(pixels: NDArray) -> NDArray:
@@ -96,6 +96,12 @@ def _pack_row(row, channels, into):
 
 
 @kernel(share=lambda flat, *_: len(flat))
+def _pack(begin, end, flat, channels, out):
+    for y in range(begin, end):
+        _pack_row(flat[y], channels, out[y])
+
+
+@kernel(share=lambda flat, *_: len(flat))
 def _pack_bytes(begin, end, flat, channels, out):
     line = np.empty(flat.shape[1], np.int16)
     row = np.empty(flat.shape[1], np.uint8)
@@ -123,13 +129,20 @@ def _pack_shorts(begin, end, flat, channels, out):
         _pack_row(row, channels, out[y])
 
 
-def prefilter_packed(pixels: NDArray[np.uint8 | np.uint16]) -> NDArray[np.uint32 | np.uint64]:
-    """`prefilter_flat` with the channels of each pixel, at most four, in one number (H, W), the
-    first lowest.
+def pack_flat(
+    pixels: NDArray[np.uint8 | np.uint16], sharpened: bool
+) -> NDArray[np.uint32 | np.uint64]:
+    """The flat, `sharpened` as by `prefilter_flat`, with the channels of each pixel, at most four,
+    in one number (H, W), the first lowest.
     """
     rows = np.ascontiguousarray(pixels).reshape(len(pixels), -1)
-    channels = pixels.shape[2]
     of_bytes = pixels.dtype == np.uint8
     out = np.empty(pixels.shape[:2], np.uint32 if of_bytes else np.uint64)
-    (_pack_bytes if of_bytes else _pack_shorts)(rows, channels, out)
+    if not sharpened:
+        pack = _pack
+    elif of_bytes:
+        pack = _pack_bytes
+    else:
+        pack = _pack_shorts
+    pack(rows, pixels.shape[2], out)
     return out

@@ -25,12 +25,10 @@ from ..detail.filters import DetailFilters, make_filters
 from ..detail.restore import HALO, choose_filters, find_places, restore_detail
 from ..flat.gray_flat import white_level
 from ..flat.lens_type_weights import WEIGHT_RATIOS
-from ..flat.prefilter import prefilter_flat
 from .blend.blend_pixels import blend_pixels
 from .blend.blend_rows import blend_rows
 from .blend.lit_flat import LitFlat, light_flat
 from .blend.records import ONE_SAMPLE, Flat, Grid, Lenses, Output, Weighting, tabulate_lenses
-from .fixed_patch import render_patches, shows_patches
 from .warped_surface import Viewpoint
 
 __all__ = ["AGREEMENT", "REACH", "REFOCUS_REACH", "VIEW_REACH", "Renderer"]
@@ -108,7 +106,8 @@ class Renderer:
         """
         part = part or self.grid.whole
         if self.noise is None:
-            return self._draw_plain(pixels, corner, part, np.dtype(dtype))
+            image, valid = self._blend(pixels, corner, part)
+            return convert_to_dtype(image, np.dtype(dtype)), valid
         wide = left, top, _, _ = self.grid.expand(part, HALO)
         image, valid = self._blend(pixels, corner, wide)
         filters, kinds = self._filters
@@ -135,29 +134,6 @@ class Renderer:
             self._both_modes,
         )
         return filters, choose_filters(filters, self.surface, self.grid)
-
-    def _draw_plain(
-        self, pixels: NDArray[Any], corner: tuple[int, int], part: Part, dtype: np.dtype[Any]
-    ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-        if self.blend or not shows_patches(
-            self.calibration, self.surface, self.scale, self.aperture
-        ):
-            image, valid = self._blend(pixels, corner, part)
-            return convert_to_dtype(image, dtype), valid
-        patch, valid = render_patches(
-            pixels, corner, self.calibration, self.surface.patch_size[0, 0], part
-        )
-        left, top, _, _ = part
-        # Within a pitch of the border of the flat, the nearest lens does not show all.
-        for strip in self.grid.border(part, int(np.ceil(self.scale)) + 1):
-            box = np.s_[strip[1] - top : strip[3] - top, strip[0] - left : strip[2] - left]
-            if not valid[box].all():
-                image, seen = self._blend(pixels, corner, strip, ~valid[box])
-                np.copyto(
-                    patch[box], convert_to_dtype(image, patch.dtype), where=~valid[box][..., None]
-                )
-                valid[box] |= seen
-        return patch.astype(dtype, copy=False), valid
 
     def light(
         self,
@@ -188,13 +164,9 @@ class Renderer:
         )
 
     def _blend(
-        self,
-        pixels: NDArray[Any],
-        corner: tuple[int, int],
-        part: Part,
-        wanted: NDArray[np.bool_] = _ALL,
+        self, pixels: NDArray[Any], corner: tuple[int, int], part: Part
     ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-        """A part of the picture, or the `wanted` pixels of it alone."""
+        """A part of the picture."""
         lattice = self.calibration.lattice
         lit = self.lit or self.light(pixels, corner)
         lenses, order = self._lenses
@@ -202,15 +174,13 @@ class Renderer:
         depth = self._seen_surface.patch_size, self._seen_surface.grid(edge_step(lattice.pitch))
         shape = part[3] - part[1], part[2] - part[0]
         image = np.empty((*shape, pixels.shape[2]), np.float32)
-        if wanted.size:
-            image.fill(0)
         output = Output(image, np.zeros(shape, bool))
         grid = Grid(
             self.grid.first + self._moved,
             self.grid.spacing,
             np.float32(self.scale),
             np.array(part[:2]),
-            wanted,
+            _ALL,
         )
         # Off the middle, rims often show a place alone; their last pixel mixes in light of the next
         # microimage.
@@ -226,25 +196,15 @@ class Renderer:
             ),
             self._squares,
         )
-        flat = Flat(lit.pixels, lit.shown, np.array(corner), np.array(lattice.image_size))
-        if self.blend and self._is_packable(pixels) and not self._is_coarse:
+        if self._is_packable(pixels) and not self._is_coarse:
             left = np.empty(shape, bool)
-            blend_rows(
-                flat._replace(pixels=lit.packed),
-                lit.light,
-                lenses,
-                *depth,
-                grid,
-                weighting,
-                output,
-                left,
-            )
-            flat = flat._replace(pixels=lit.packed.view(pixels.dtype).reshape(*lit.packed.shape, 4))
+            flat = Flat(lit.packed, lit.shown, np.array(corner), np.array(lattice.image_size))
+            blend_rows(flat, lit.light, lenses, *depth, grid, weighting, output, left)
+            unpacked = lit.packed.view(pixels.dtype).reshape(*lit.packed.shape, 4)
+            flat = flat._replace(pixels=unpacked)
             grid = grid._replace(wanted=left)
-        elif self.blend:
-            # Only a mean over many lenses is as sharp as the flat if the blur of the interpolation
-            # is compensated.
-            flat = flat._replace(pixels=prefilter_flat(lit.pixels))
+        else:
+            flat = Flat(lit.unpacked, lit.shown, np.array(corner), np.array(lattice.image_size))
         if not grid.wanted.size or grid.wanted.any():
             blend_pixels(flat, lit.light, lenses, *depth, grid, weighting, output)
         if self._aside and not output.valid.all():

@@ -15,7 +15,7 @@ from lfcal import Calibration
 
 from ...data.surface import Surface, edge_step
 from ...flat.gray_flat import correction_tables, has_uneven_lenses
-from ...flat.prefilter import prefilter_packed
+from ...flat.prefilter import pack_flat, prefilter_flat
 from .occlusion import project_surface
 from .records import Light
 
@@ -32,11 +32,17 @@ class LitFlat:
         np.float32
     ]  # (h, w) patch size [px] that pixels of these lenses show, inf where unlit
     light: Light
+    sharpened: bool  # pixels are read sharpened: the mean over lenses takes that back
 
     @cached_property
     def packed(self) -> NDArray[Any]:
         """(h, w) the pixels for `blend_rows`."""
-        return prefilter_packed(self.pixels)
+        return pack_flat(self.pixels, self.sharpened)
+
+    @property
+    def unpacked(self) -> NDArray[Any]:
+        """(h, w, C) the pixels for `blend_pixels`."""
+        return prefilter_flat(self.pixels) if self.sharpened else self.pixels
 
 
 def light_flat(
@@ -50,7 +56,7 @@ def light_flat(
     and the light of the lenses.
 
     If the gain differs from lens to lens, pixels are divided by it, and those that are unlit are
-    infinitely far. Without a surface nothing occludes anything. `reach` [px] is from lenses to
+    infinitely far. Without a surface nothing occludes anything, and lenses are read alone. `reach` [px] is from lenses to
     scene points that are read from them.
     """
     lattice = calibration.lattice
@@ -69,9 +75,8 @@ def light_flat(
             shown = np.full(pixels.shape[:2], np.nan, np.float32)
         shown[dilate_mask(unknown)] = np.inf
         edged[:] = True
-    return LitFlat(
-        pixels, edged, shown, Light(gains, np.float32(step), np.float32(0 if uneven else 1))
-    )
+    light = Light(gains, np.float32(step), np.float32(0 if uneven else 1))
+    return LitFlat(pixels, edged, shown, light, sharpened=surface is not None)
 
 
 def dilate_mask(pixels: NDArray[np.bool_]) -> NDArray[np.bool_]:

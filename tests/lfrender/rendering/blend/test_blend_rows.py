@@ -38,9 +38,13 @@ def middle(flat, camera, depth, scale):
     return lfrender.render(flat, camera, depth, scale=scale, detail="off")
 
 
+def nearest(flat, camera, depth, scale):
+    return lfrender.render(flat, camera, depth, scale=scale, blend=False)
+
+
 # At the larger scale a lens shows more pixels of a row than are worked on together.
 @pytest.mark.parametrize("made", [np.asarray, shorts])
-@pytest.mark.parametrize("drawn", [middle, view])
+@pytest.mark.parametrize("drawn", [middle, view, nearest])
 @pytest.mark.parametrize(("channels", "scale"), [(1, None), (3, None), (3, 45.0)])
 def test_pictures_of_integers_are_those_of_floats(channels, scale, drawn, made):
     flat, camera, depth = capture()
