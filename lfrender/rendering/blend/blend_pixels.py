@@ -63,8 +63,42 @@ def count_samples(surface, depth, x, y, s, grid, pitch, squares):
     return samples, apart * grid.spacing / side
 
 
-# Numba counts references each time that an array is taken out of a tuple or handed on: the loop
-# over samples and lenses is one long function.
+@njit(error_model="numpy", forceinline=True)
+def _interpolate(line, at, across, down, fx, fy, gain, channels, value):
+    """Write `gain` times the values of the flat at place (`fx`, `fy`) from the pixel at `at`."""
+    one = np.float32(1)
+    w01 = gain * fx * (one - fy)
+    w11 = gain * fx * fy
+    w00 = gain * (one - fy) - w01
+    w10 = gain * fy - w11
+    for c in range(channels):
+        upper = w00 * np.float32(line[at + c]) + w01 * np.float32(line[at + across + c])
+        lower = w10 * np.float32(line[at + down + c])
+        lower += w11 * np.float32(line[at + down + across + c])
+        value[c] = upper + lower
+
+
+@njit(error_model="numpy", forceinline=True)
+def _add_agreeing(values, weights, found, t2, channels, mean, total):
+    """Add the mean of the readings, each weighted by how far its colour is from their plain `mean`
+    (Geman-McClure).
+    """
+    per_channel = np.float32(1 / channels)
+    norm = np.float32(0)
+    for n in range(found):
+        difference = np.float32(0)
+        for c in range(channels):
+            difference += (values[n, c] - mean[c]) * (values[n, c] - mean[c])
+        agree = t2 / (t2 + difference * per_channel)
+        weights[n] *= agree * agree
+        norm += weights[n]
+    for n in range(found):
+        for c in range(channels):
+            total[c] += weights[n] / norm * values[n, c]
+
+
+# Numba counts references each time that an array is taken out of a tuple: they are taken out once,
+# before the loop over pixels.
 @kernel(error_model="numpy", share=lambda *given: len(given[7].image))
 def blend_pixels(begin, end, flat, light, lenses, surface, depth, grid, weighting, output):
     """Draw the pixels of a `Grid` into an `Output`, with the patch sizes `surface` (h, w) on a
@@ -110,7 +144,6 @@ def blend_pixels(begin, end, flat, light, lenses, surface, depth, grid, weightin
     last_ratio = shares.shape[1] - 1
     edged = lenses.edged
     t2 = weighting.tolerance * weighting.tolerance
-    per_channel = 1 / channels
     zero = np.float32(0)
     one = np.float32(1)
     values = np.empty((_MOST, 4), np.float32)
@@ -195,20 +228,11 @@ def blend_pixels(begin, end, flat, light, lenses, surface, depth, grid, weightin
                         best_at = found
                         if t2 <= 0:
                             farthest = min(farthest, np.sqrt(best) + np.float32(0.75) * pitch)
-                    w01 = gain * fx * (one - fy)
-                    w11 = gain * fx * fy
-                    w00 = gain * (one - fy) - w01
-                    w10 = gain * fy - w11
                     at = iy * down + ix * across
+                    value = values[found]
+                    _interpolate(line, at, across, down, fx, fy, gain, channels, value)
                     for c in range(channels):
-                        value = (
-                            w00 * np.float32(line[at + c]) + w01 * np.float32(line[at + across + c])
-                        ) + (
-                            w10 * np.float32(line[at + down + c])
-                            + w11 * np.float32(line[at + down + across + c])
-                        )
-                        values[found, c] = value
-                        mean[c] += weight * value
+                        mean[c] += weight * value[c]
                     weights[found] = weight
                     norm += weight
                     found += 1
@@ -218,20 +242,8 @@ def blend_pixels(begin, end, flat, light, lenses, surface, depth, grid, weightin
                 if t2 <= 0:
                     total += values[best_at]
                     continue
-                # Reweighted once by how far the colour of a lens is from the plain mean
-                # (Geman-McClure).
                 mean /= norm
-                norm = zero
-                for n in range(found):
-                    difference = zero
-                    for c in range(channels):
-                        difference += (values[n, c] - mean[c]) * (values[n, c] - mean[c])
-                    agree = t2 / (t2 + difference * np.float32(per_channel))
-                    weights[n] *= agree * agree
-                    norm += weights[n]
-                for n in range(found):
-                    for c in range(channels):
-                        total[c] += weights[n] / norm * values[n, c]
+                _add_agreeing(values, weights, found, t2, channels, mean, total)
             valid[v, u] = seen > 0
             for c in range(channels):
                 image[v, u, c] = total[c] / max(seen, 1)
