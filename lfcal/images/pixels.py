@@ -180,10 +180,11 @@ def _unsigned(array: NDArray[Any]) -> NDArray[Any]:
 
 def _finite(array: NDArray[Any]) -> NDArray[np.float32]:
     """Floats as float32."""
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):
         single = array.astype(np.float32, copy=False)
-    # A finite sum of single precision proves that no value is NaN or infinite.
-    if not np.isfinite(single.sum(dtype=np.float64)):
+        # A finite sum of single precision proves that no value is NaN or infinite.
+        total = single.sum(dtype=np.float64)
+    if not np.isfinite(total):
         bad = ~np.isfinite(array)
         if bad.any():
             y, x = np.argwhere(bad)[0][:2]
