@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import os
 import struct
 from collections.abc import Callable
@@ -18,12 +19,19 @@ from .pixels import apply_palette, check_page, check_size, check_unpacked
 
 __all__ = ["count_tiff_pages", "open_tiff", "part_reader", "read_tiff", "select_tiff_page"]
 
-# Values of the tags SampleFormat, for unsigned integers, and Compression.
+# Values of the tags SampleFormat and Compression.
 _UNSIGNED = 1
+_FLOAT = 3
 _UNCOMPRESSED = 1
+_FAX = (2, 3, 4)
 _JPEG = (6, 7)
-# Compressions of bytes that know nothing of pixels: LZW, deflate, PackBits, LZMA and ZSTD.
-_OF_BYTES = (5, 8, 32773, 32946, 34925, 50000)
+# Values of the tags PlanarConfiguration, and Predictor for differences of floats.
+_PLANAR = (1, 2)
+_OF_FLOATS = (3, 34894, 34895)
+# Strips and tiles are filled up to whole words of so many bytes by some programs.
+_WORD = 4
+# Bytes of the header of a file.
+_HEADER = 8
 _TABLES = ("StripOffsets", "TileOffsets")
 # Numbers of samples of a pixel by the kind of its colours: with and without alpha.
 _SAMPLES = {
@@ -107,33 +115,73 @@ def _check_kind(page: Any) -> None:
     # The decoder of JPEG returns RGB. Others return luminance and differences of colours.
     if kind == "YCBCR" and page.compression not in _JPEG:
         raise FlatError("TIFF pixels of kind YCBCR are read in JPEG only; save as RGB")
+    if page.planarconfig not in _PLANAR:
+        raise FlatError("damaged TIFF: the order of its colours is not known")
+    if page.predictor in _OF_FLOATS and page.sampleformat != _FLOAT:
+        raise FlatError("damaged TIFF: its predictor is one of floats, its pixels are integers")
     if kind == "MINISWHITE" and page.sampleformat != _UNSIGNED:
         raise FlatError("TIFF pixels of kind MINISWHITE are read as unsigned integers only")
 
 
 def _check_segments(page: Any, file: Any) -> None:
     """Raise FlatError unless the strips or tiles of a page are just all of its pixels."""
-    import tifffile
-
-    parts = list(zip(page.dataoffsets, page.databytecounts, strict=True))
+    counts = page.databytecounts
+    parts = list(zip(page.dataoffsets, counts, strict=True))
     if not parts or any(count == 0 or start + count > file.size for start, count in parts):
         raise FlatError("truncated TIFF: pixel data are missing")
     (table,) = (page.tags[name] for name in _TABLES if name in page.tags)
     if table.count != np.prod(page.chunked):
         raise FlatError("damaged TIFF: its table of strips or tiles does not fit its size")
-    height, width = _segment_size(page)
-    samples = 1 if page.axes == "SYX" else page.samplesperpixel
-    row = -(-width * samples * page.bitspersample // 8)
-    check_unpacked(height * row * len(parts), file.size)
-    most = max(page.databytecounts)
-    if page.compression in _OF_BYTES:
+    # Equal tiles may be stored once.
+    tags = (page.offset, 1 + page.parent.tiff.tagsize * len(page.tags))
+    used = sorted({(0, _HEADER), tags, *parts})
+    ends = np.cumsum(used, axis=1)[:, 1]
+    if any(start < end for (start, _), end in zip(used[1:], ends[:-1], strict=True)):
+        raise FlatError("damaged TIFF: its strips or tiles overlap each other or the tags")
+    check_unpacked(math.prod(page.shaped) * page.bitspersample / 8, file.size)
+    # Those that lie at the end of the picture may be smaller.
+    for number in {0, len(parts) - 1}:
+        file.seek(page.dataoffsets[number])
+        if not _fits(page, number, file.read(counts[number])):
+            raise FlatError(
+                "damaged TIFF: its strips or tiles hold pixels of another size or type than its "
+                "tags describe"
+            )
+
+
+def _fits(page: Any, number: int, data: bytes) -> bool:
+    """Whether a strip or tile holds as many pixels and bits as the tags describe."""
+    import imagecodecs
+    import tifffile
+
+    _, (_, _, top, left, _), (_, height, width, samples) = page.decode(None, number)
+    heights = {page.tilelength or page.rowsperstrip, height, page.imagelength - top}
+    widths = {width, page.imagewidth - left}
+    compression = page.compression
+    if compression in _FAX:
+        return bool(page.bitspersample == 1)
+    if compression in tifffile.TIFF.IMAGE_COMPRESSIONS:
+        if compression in _JPEG:
+            bits = page.bitspersample
+            decoded = imagecodecs.jpeg_decode(data, bitspersample=bits, tables=page.jpegtables)
+        else:
+            decoded = tifffile.TIFF.DECOMPRESSORS[compression](data)
+        rows, columns, channels = np.atleast_3d(decoded).shape
+        if samples == 1:
+            # Mosaics are stored as pictures of two or four channels.
+            columns *= channels
+        # WebP leaves out alpha that is opaque.
+        is_whole = samples in (1, channels) or (samples, channels) == (4, 3)
+        fits = is_whole and rows in heights and columns in widths
+        return bool(fits and decoded.dtype == page.dtype)
+    lengths = [
+        high * -(-wide * samples * page.bitspersample // 8) for high in heights for wide in widths
+    ]
+    if compression != _UNCOMPRESSED:
         # Decoders leave out what is too much.
-        file.seek(page.dataoffsets[0])
-        packed = file.read(page.databytecounts[0])
-        decompress = tifffile.TIFF.DECOMPRESSORS[page.compression]
-        most = len(decompress(packed, out=(height + 1) * row))
-    if page.compression in (_UNCOMPRESSED, *_OF_BYTES) and most >= (height + 1) * row:
-        raise FlatError("damaged TIFF: its strips or tiles hold more than their pixels")
+        most = max(lengths) + _WORD
+        data = tifffile.TIFF.DECOMPRESSORS[compression](data, out=most)
+    return any(0 <= len(data) - length < _WORD for length in lengths)
 
 
 def _segment_size(page: Any) -> tuple[int, int]:

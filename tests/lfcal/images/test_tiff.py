@@ -185,3 +185,83 @@ def test_tags_that_do_not_fit_the_stored_bytes_are_refused(tmp_path, compression
     path.write_bytes(whole[:entry] + struct.pack("<H", value) + whole[entry + 2 :])
     with pytest.raises(lfcal.FlatError):
         lfcal.read_flat(path)
+
+
+def changed(path, tag, value):
+    """Give the first number of a tag of 16 bits, or all equal ones, another value."""
+    data = bytearray(path.read_bytes())
+    with tifffile.TiffFile(path) as tiff:
+        entry = tiff.pages[0].tags[tag]
+    size = {3: 2, 4: 4}[int(entry.dtype)]
+    number = value.to_bytes(size, "little")
+    count = entry.count if tag == "BitsPerSample" else 1
+    data[entry.valueoffset : entry.valueoffset + size * count] = number * count
+    path.write_bytes(data)
+
+
+@pytest.mark.parametrize("compression", ["jpeg", "png", "webp", "jpegxl", "jpeg2000"])
+@pytest.mark.parametrize(
+    ("tag", "value"),
+    [
+        ("ImageWidth", 32),
+        ("ImageWidth", 4096),
+        ("ImageLength", 43),
+        ("BitsPerSample", 1),
+        ("PlanarConfiguration", 10),
+    ],
+)
+def test_pictures_in_strips_have_the_size_and_bits_of_the_tags(tmp_path, compression, tag, value):
+    path = tmp_path / "flat.tif"
+    stored = {"photometric": "rgb", "compression": compression, "rowsperstrip": 13}
+    tifffile.imwrite(path, RGB[:44], metadata=None, **stored)
+    assert lfcal.read_flat(path).shape == (44, 64, 3)
+    changed(path, tag, value)
+    with pytest.raises(lfcal.FlatError):
+        lfcal.read_flat(path)
+
+
+@pytest.mark.parametrize(
+    ("pixels", "compression", "tag", "value"),
+    [
+        (GREY_16, None, "ImageWidth", 63),
+        (GREY_16, None, "BitsPerSample", 15),
+        (GREY, "lzw", "ImageWidth", 63),
+        (GREY, "zlib", "ImageLength", 47),
+        (GREY, None, "Compression", 2),
+        (GREY, "lzw", "Compression", 4),
+        (GREY, "packbits", "Compression", 1),
+        (RGB, "zlib", "Predictor", 3),
+        (GREY, None, "StripOffsets", 8),
+        (GREY, None, "StripOffsets", 225),
+    ],
+)
+def test_tags_that_give_other_pixels_of_the_same_bytes_are_refused(
+    tmp_path, pixels, compression, tag, value
+):
+    path = tmp_path / "flat.tif"
+    noise = np.random.default_rng(0).integers(0, 2, pixels.shape).astype(pixels.dtype)
+    stored = {"photometric": "rgb" if pixels.ndim == 3 else "minisblack", "rowsperstrip": 13}
+    if tag == "Predictor":
+        stored["predictor"] = True
+    tifffile.imwrite(path, pixels + noise, metadata=None, compression=compression, **stored)
+    assert lfcal.read_flat(path).shape == pixels.shape
+    changed(path, tag, value)
+    with pytest.raises(lfcal.FlatError):
+        lfcal.read_flat(path)
+
+
+def test_tiles_of_edges_opaque_alpha_and_padded_strips_are_read(read, tmp_path):
+    for compression in ("webp", "jpeg", "png"):
+        rgba = np.dstack([RGB, np.full_like(GREY, 255)])
+        pixels = RGB if compression == "jpeg" else rgba
+        stored = {"compression": compression, "tile": (32, 48), "photometric": "rgb"}
+        assert read(pixels, **stored).shape == RGB.shape
+    # Some programs fill strips up to whole words.
+    path = tmp_path / "padded.tif"
+    tifffile.imwrite(path, GREY[:, :63], metadata=None)
+    with tifffile.TiffFile(path) as tiff:
+        entry = tiff.pages[0].tags["StripByteCounts"].valueoffset
+    size = 48 * 63
+    data = path.read_bytes() + bytes(3)
+    path.write_bytes(data[:entry] + struct.pack("<I", size + 3) + data[entry + 4 :])
+    np.testing.assert_array_equal(lfcal.read_flat(path), GREY[:, :63])
