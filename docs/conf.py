@@ -1,6 +1,7 @@
 """How the documentation is built: `sphinx-build docs build/docs` after `pip install '.[docs]'`."""
 
 import json
+import tomllib
 import zlib
 from importlib.metadata import version as installed
 from pathlib import Path
@@ -196,9 +197,31 @@ def _write_commands(_app: object) -> None:
     )
 
 
+def _write_messages(_app: object) -> None:
+    """`built_messages/index.md`: the messages of `messages.toml` in tables, one for each group."""
+    here = Path(__file__).parent
+    groups = tomllib.loads((here / "messages.toml").read_text(encoding="utf-8"))
+    lines = [
+        "# Messages",
+        "",
+        "The warnings and errors of all commands, and what to do. `…` stands for names and numbers.",
+        "[Troubleshooting](/troubleshooting.md) explains what is common to them.",
+    ]
+    for title, messages in groups.items():
+        lines += ["", f"## {title}", "", "| message | what to do |", "|---|---|"]
+        for message, advice in messages.items():
+            cells = (f" `{message}` ", f" {advice} ")
+            row = "|".join(cell.replace("|", "\\|") for cell in cells)
+            lines.append(f"|{row}|")
+    folder = here / "built_messages"
+    folder.mkdir(exist_ok=True)
+    (folder / "index.md").write_text("\n".join([*lines, ""]), encoding="utf-8")
+
+
 def setup(app: Any) -> None:
     """Called by Sphinx."""
     app.connect("builder-inited", _write_commands)
+    app.connect("builder-inited", _write_messages)
     app.connect("sphinx-click-process-epilog", _show_examples)
 
 

@@ -6,6 +6,7 @@ import ast
 import inspect
 import pkgutil
 import re
+import tomllib
 from functools import cached_property
 from importlib import import_module
 from itertools import pairwise
@@ -75,7 +76,12 @@ def test_every_page_is_in_a_table_of_contents():
     listed = {
         line for block in blocks for line in block.splitlines() if line and not line.startswith(":")
     }
-    assert pages - {"index"} == listed - {"api", "built_gallery/index", "built_commands/overview"}
+    assert pages - {"index"} == listed - {
+        "api",
+        "built_gallery/index",
+        "built_commands/overview",
+        "built_messages/index",
+    }
 
 
 @pytest.mark.parametrize(
@@ -97,6 +103,37 @@ def test_files_that_a_page_names_exist(page):
     assert [path for path in named if not path.exists() and "_cupy" not in str(path)] == []
 
 
+# What the lab book may name, and the site may not.
+_DIARY = {
+    "revision": r"\b(?=[a-f]*\d)(?=\d*[a-f])[\da-f]{7,40}\b",
+    "seed": r"\bseeds?\b(?!=)",
+    "load": r"\bunder load\b|\bload (?:average|of \d)|\bbusy machine|\bother work\b",
+    "path": r"\.\./shared|(?<![\w.])/(?:work|home|root|tmp)/",
+}
+_PAGES = [
+    *(path for path in DOCS.rglob("*.md") if "built" not in str(path)),
+    *DOCS.glob("*.rst"),
+    *DOCS.glob("*.toml"),
+    *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")),
+]
+
+
+@pytest.mark.parametrize("kind", _DIARY)
+def test_no_page_of_the_site_names_a_revision_a_seed_a_load_or_an_outside_path(kind):
+    found = [
+        f"{page.name}: {match[0]}"
+        for page in _PAGES
+        for match in re.finditer(_DIARY[kind], page.read_text(encoding="utf-8"))
+    ]
+    assert found == []
+
+
+def test_the_pages_written_by_hand_have_at_most_26000_words():
+    pages = [page for page in _PAGES if page.parent != ROOT and page.suffix != ".toml"]
+    words = sum(len(page.read_text(encoding="utf-8").split()) for page in pages)
+    assert words <= 26_000
+
+
 def _texts():
     """The strings of the packages and of click, with "…" in place of inserted values."""
     sources = [
@@ -116,9 +153,9 @@ def _is_text(node):
     return isinstance(node, ast.Constant) and isinstance(node.value, str)
 
 
-def test_messages_in_the_table_are_those_of_the_code():
-    table = (DOCS / "troubleshooting.md").read_text(encoding="utf-8")
-    messages = re.findall(r"^\| `(.*?)` \|", table, re.MULTILINE)
+def test_messages_of_the_registry_are_those_of_the_code():
+    groups = tomllib.loads((DOCS / "messages.toml").read_text(encoding="utf-8"))
+    messages = [message for group in groups.values() for message in group]
     assert len(messages) > 300
     texts = " ".join(" ".join(_texts()).split())
     for message in messages:

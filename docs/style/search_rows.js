@@ -1,15 +1,15 @@
 // On a page with tables of messages: a field that leaves only the rows in which the words typed there occur. A pasted
 // message finds its row too: `…` in a row stands for any text.
 document.addEventListener("DOMContentLoaded", () => {
-  if (!document.querySelector("section#troubleshooting")) return;
-  const tables = [...document.querySelectorAll("section#troubleshooting table")];
+  if (!document.querySelector("section#messages")) return;
+  const tables = [...document.querySelectorAll("section#messages table")];
   const field = Object.assign(document.createElement("input"), {
     type: "search",
     className: "search-rows",
     placeholder: "Paste a message, or type a word of it",
     ariaLabel: "Search the messages of this page",
   });
-  document.querySelector("section#troubleshooting h1").after(field);
+  document.querySelector("section#messages h1").after(field);
   const plain = (text) => text.toLowerCase().replace(/\s+/g, " ").trim();
   // Whether all parts of a row's message, between its `…`, follow each other in what was pasted.
   const covers = (message, pasted) => {
