@@ -61,7 +61,8 @@ class Calibration(Frozen):
     lattice : Lattice
         Centres, pitch and usable radius.
     vignetting : Vignetting or None
-        Radial light falloff inside each microimage.
+        Mean light inside microimages over the distance to their centre, which matching divides by.
+        Light of neighbours may make it rise at the rim.
     source : str
         Kind of data that the lattice comes from: `"white"`, `"scene"`, `"published"` or `"truth"`.
     residual_rms : float [px]
@@ -374,7 +375,8 @@ class Calibration(Frozen):
             raise CalibrationError(
                 "the camera file holds no gain map; make one with 'lfcal calibrate IMAGE'"
             )
-        return GainMap.round(self.vignetting.profile, self.vignetting.step, self.lattice.radius)
+        light = np.minimum(self.vignetting.profile, 1)
+        return GainMap.round(light, self.vignetting.step, self.lattice.radius)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the camera as JSON; the file appears whole or not at all."""

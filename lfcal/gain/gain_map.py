@@ -327,12 +327,12 @@ class GainMap(Frozen):
 
 @dataclass(frozen=True, eq=False)
 class Vignetting(Frozen):
-    """Relative illumination over the microimage radius, 1 at its brightest.
+    """Relative illumination over the microimage radius, 1 in the middle.
 
     Parameters
     ----------
     profile : (k,) float64
-        Relative illumination at radii `0, step, 2*step, ...`, each in 0..1.
+        Relative illumination at radii `0, step, 2*step, ...`; above 1 where neighbours add light.
     step : float [px]
         Distance between samples of `profile`.
 

@@ -18,7 +18,7 @@ from .lens_light import find_unlit_in_scene, fit_lens_lights, measure_lenses
 from .profiles import (
     ProfilePixels,
     average_vignetting,
-    fit_scene_profile,
+    fit_scene_profiles,
     fit_type_profiles,
     order_by_rims,
 )
@@ -43,7 +43,7 @@ class Illumination:
     """Illumination of the microimages of a flat."""
 
     gain_map: GainMap
-    vignetting: Vignetting  # of the average microimage
+    vignetting: Vignetting  # mean light of the average microimage, that of scenes may rise
     # [px] where that falls below half, at most half the distance to the nearest microimage
     radius: float
     defects: Defects
@@ -75,11 +75,13 @@ def measure_illumination(
     if not white:
         sample = draw_sample(lattice, picture, ENOUGH_PIXELS, True, _ROWS)
         pixels = ProfilePixels.of(sample, gain)
-        profile, measured = fit_scene_profile(pixels, gain)
-        gain = replace(gain, profile=profile)
-        if not measured:
+        profiles = fit_scene_profiles(pixels, gain)
+        gain = replace(gain, profile=profiles.light)
+        if not profiles.shown:
             warnings.append(_NOT_MEASURED)
     vignetting, radius = average_vignetting(gain, lattice)
+    if not white:
+        vignetting, _ = average_vignetting(replace(gain, profile=profiles.mean), lattice)
     types = find_types(lattice.with_radius(radius)) if find_types else None
     if types is not None and types.count > 1:
         if white:

@@ -29,8 +29,9 @@ from .residuals import CLIPPED_PIXELS, CORES, Sample
 __all__ = [
     "FEW_PIXELS",
     "ProfilePixels",
+    "SceneProfiles",
     "average_vignetting",
-    "fit_scene_profile",
+    "fit_scene_profiles",
     "fit_type_profiles",
     "order_by_rims",
 ]
@@ -49,8 +50,9 @@ _INNER = 0.3
 _LENSES = 64
 # Windows of the field from whose scatter the error of a profile follows.
 _FEWEST_WINDOWS = 4
-# RMS rise of a scene towards the rims, over its light, from which on it is content. Scenes that
-# agree with their white images have up to 0.01, those whose profiles would be wrong 0.04 to 0.4.
+# RMS rise of a scene towards the rims, over its light, from which on it is no light of lenses.
+# Scenes that agree with their white images have up to 0.01, those whose profiles would be wrong
+# 0.04 to 0.4.
 _CONTENT = 0.03
 
 
@@ -123,33 +125,51 @@ def _shrunk_mean(values: Floats, weight: Floats) -> Floats:
     return np.asarray(mean * np.maximum(1 - (2 * error / np.maximum(np.abs(mean), 1e-12)) ** 2, 0))
 
 
-def fit_scene_profile(found: ProfilePixels, gain: GainMap) -> tuple[Floats, bool]:
-    """(k,) profile of a gain map with known rims, from a scene; 1 wherever that cannot be excluded.
+class SceneProfiles(NamedTuple):
+    """Profiles (k,) of a gain map with known rims, from a scene."""
 
-    Also returns whether the scene shows the light inside microimages. If it is too dark, or
-    brighter at their rims, the profile is 1 before the rim.
+    # Mean light of the scene, 1 wherever that cannot be excluded. It is what lenses have in common
+    # when they are compared. If microimages fill their cells, their rims have light of neighbours,
+    # and it rises there.
+    mean: Floats
+    # Light of the lenses, which pictures are divided by: it never rises. If the scene does not
+    # show it, it is 1 before the rim.
+    light: Floats
+    shown: bool
+
+
+def fit_scene_profiles(found: ProfilePixels, gain: GainMap) -> SceneProfiles:
+    """Profiles from the sums over many lenses of a scene.
+
+    If the light rises already in the middle of microimages, it is that of objects: the mean falls,
+    too.
     """
     from scipy.optimize import isotonic_regression
 
     types = np.zeros(len(found.sample.field), np.int8)
-    light, weight, _ = found.sum_windows(gain, types, CORES[0] * gain.radius)
+    core = CORES[0] * gain.radius
+    light, weight, _ = found.sum_windows(gain, types, core)
     pixels = weight.sum((0, 1))
-    profile = gain.profile
-    measured = len(light) >= _FEWEST_WINDOWS
-    rings = np.arange(len(profile))
-    if measured:
+    mean = gain.profile
+    shown = len(light) >= _FEWEST_WINDOWS
+    rings = np.arange(len(mean))
+    if shown:
         filled = pixels > FEW_PIXELS * pixels.max()
         ratio = light[:, 0] / np.maximum(weight[:, 0], 1e-12)
-        profile = 1 + np.interp(rings, rings[filled], _shrunk_mean(ratio - 1, weight[:, 0])[filled])
+        mean = 1 + np.interp(rings, rings[filled], _shrunk_mean(ratio - 1, weight[:, 0])[filled])
     pixels = np.maximum(pixels, FEW_PIXELS * max(float(pixels.max()), 1.0))
-    falling = isotonic_regression(profile, weights=pixels, increasing=False).x
-    inside = rings * gain.step < gain.radius
-    rise = np.average((profile - falling)[inside] ** 2, weights=pixels[inside])
-    measured &= bool(rise <= _CONTENT**2)
-    profile = falling / max(float(falling[0]), 1e-9)
-    if not measured:
-        profile = np.where(profile > BEFORE_RIM, 1, profile)
-    return np.asarray(profile), measured
+    falling = isotonic_regression(mean, weights=pixels, increasing=False).x
+
+    def rises(radius: float) -> bool:
+        inside = rings * gain.step < radius
+        even = isotonic_regression(mean[inside], weights=pixels[inside], increasing=False).x
+        return bool(np.average((mean[inside] - even) ** 2, weights=pixels[inside]) > _CONTENT**2)
+
+    shown &= not rises(gain.radius)
+    falling /= max(float(falling[0]), 1e-9)
+    if not shown:
+        falling[falling > BEFORE_RIM] = 1
+    return SceneProfiles(falling if rises(core) else mean, falling, shown)
 
 
 def fit_type_profiles(
@@ -221,8 +241,8 @@ def average_vignetting(gain: GainMap, lattice: Lattice) -> tuple[Vignetting, flo
     relative = gain.sample(gain.describe(field), rings).mean((0, 1))
     if not relative.max() > 0:
         raise CalibrationError("no light is left in the average microimage; give a white image")
-    relative = np.clip(relative / relative.max(), 0, 1)
     radii = np.arange(rings) * gain.step
+    relative = np.maximum(relative / relative[radii <= CORES[0] * limit].max(), 0)
     radius = limit
     # In clipped flats only the rims of bright microimages are measured.
     dark = np.flatnonzero(

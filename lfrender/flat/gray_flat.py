@@ -289,19 +289,23 @@ def grey_light(pixels: NDArray, calibration: Calibration) -> NDArray[np.float32]
 
 
 def trusted_radius(calibration: Calibration) -> float:
-    """Radius [px] within which microimages can be compared: off the rim, with nine tenths of the
-    light; at least 0.3 D.
+    """Radius [px] within which microimages can be compared: off the rim, with the light of the
+    middle up to a tenth; at least 0.3 D.
 
     With less light, the correction of the vignetting is as uncertain as weak texture is strong.
+    More light than in the middle is that of neighbours.
     """
     lattice = calibration.lattice
     # Interpolation reads one pixel further.
     radius = max(lattice.radius - 1.0, 1.5)
     if calibration.vignetting is not None:
+        least = 0.3 * lattice.pitch
         distance = np.arange(0.0, lattice.radius, 0.25)
-        dim = distance[calibration.vignetting.at(distance) < 0.9]
-        if dim.size:
-            radius = min(radius, max(float(dim[0]), 0.3 * lattice.pitch))
+        uneven = np.abs(calibration.vignetting.at(distance) - 1) > 0.1
+        # In the middle, rings have few pixels.
+        uneven &= distance > least - 0.25
+        if uneven.any():
+            radius = min(radius, max(float(distance[uneven.argmax()]), least))
     return radius
 
 

@@ -13,7 +13,8 @@ from lfcal.gain.gain_map import GainMap
 from lfcal.gain.rows import RegionGain
 from lfcal.illumination.profiles import (
     ProfilePixels,
-    fit_scene_profile,
+    SceneProfiles,
+    fit_scene_profiles,
     fit_type_profiles,
     order_by_rims,
 )
@@ -53,43 +54,59 @@ def test_profile_from_a_scene_is_even_in_the_middle(seed):
     picture = (0.5 + 0.12 * scene / scene.std()).clip(0.05, 1).astype(np.float32)
     gain = GainMap.round(np.ones(100), 0.25, 20.0)
     pixels = ProfilePixels.of(draw_sample(lattice, picture, 1e6, True, 2), gain)
-    profile, measured = fit_scene_profile(pixels, gain)
-    assert measured
+    profile, light, shown = fit_scene_profiles(pixels, gain)
+    assert shown and np.diff(light).max() < 1e-12
     # Pixel by pixel, the few in the middle of these 80 lenses are up to 40 % off.
     np.testing.assert_allclose(profile[:6] / np.median(profile[:60]), 1, atol=0.06)
 
 
-def _fit_profile(rise: float, fill: float) -> tuple[np.ndarray, bool]:
-    """Of a scene whose light rises towards the rims, which are at a share of the radius."""
+def _fit_profiles(rise: float, fill: float, begin: float = 0.0) -> SceneProfiles:
+    """Of a scene whose light rises towards the rims, which are at a share of the radius.
+
+    It begins to rise at another share of it.
+    """
     y, x = np.mgrid[:400, :600]
     points = np.column_stack([x.ravel(), y.ravel()]).astype(float)
     nearest = np.rint(_LATTICE.to_index(points)).astype(int)
     distance = np.hypot(*(points - _LATTICE.points(nearest)).T).reshape(x.shape) / _LATTICE.radius
-    light = (1 + rise * distance**2) * np.clip((fill - distance) * 5, 0.02, 1)
+    light = (1 + rise * np.maximum(distance - begin, 0) ** 2) * np.clip(
+        (fill - distance) * 5, 0.02, 1
+    )
     noise = np.random.default_rng(0).normal(1, 0.05, light.shape)
     picture = np.sqrt(0.3 * light * noise).astype(np.float32)
     gain = GainMap.round(np.ones(60), _STEP, 9)
     pixels = ProfilePixels.of(draw_sample(_LATTICE, picture, 1e6, True, 2), gain)
-    return fit_scene_profile(pixels, gain)
+    return fit_scene_profiles(pixels, gain)
 
 
 @pytest.mark.parametrize("fill", [0.9, 2.0])
 def test_scene_that_is_brighter_at_the_rims_shows_no_light_before_them(fill):
-    profile, measured = _fit_profile(2.0, fill)
-    assert not measured
+    profile = _fit_profiles(2.0, fill).light
     before_rim = np.arange(60) * _STEP < (fill - 0.25) * 9
     np.testing.assert_array_equal(profile[before_rim], 1)
+    # Objects in the middles are nothing that lenses have in common.
+    np.testing.assert_array_equal(_fit_profiles(2.0, fill).mean, profile)
+    assert not _fit_profiles(2.0, fill).shown
     # The rim itself is seen.
     assert (profile[40] < 0.1) == (fill < 1)
 
 
 @pytest.mark.parametrize("rise", [-0.2, 0.0, 0.05])
 def test_profile_of_a_scene_never_rises_towards_the_rim(rise):
-    profile, measured = _fit_profile(rise, 1.0)
-    assert measured
+    _, profile, shown = _fit_profiles(rise, 1.0)
+    assert shown
     assert profile[0] == 1 and np.diff(profile).max() < 1e-12
     expected = 1 + min(rise, 0) * (np.arange(60) * _STEP / 9) ** 2
     np.testing.assert_allclose(profile[:24], expected[:24], atol=0.02)
+
+
+def test_light_of_neighbours_at_the_rims_is_in_the_mean_but_not_in_the_light_of_lenses():
+    found = _fit_profiles(2.0, 2.0, begin=0.6)
+    inside = np.arange(60) * _STEP < 8
+    expected = 1 + 2 * np.maximum(np.arange(60) * _STEP / 9 - 0.6, 0) ** 2
+    assert not found.shown
+    np.testing.assert_array_equal(found.light[inside], 1)
+    np.testing.assert_allclose(found.mean[inside], expected[inside], atol=0.02)
 
 
 @pytest.mark.parametrize(("contrast", "error"), [(0.02, 0.005), (0.1, 0.015)])

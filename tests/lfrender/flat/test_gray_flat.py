@@ -7,7 +7,12 @@ import pytest
 
 from lfcal import Calibration, Lattice
 from lfcal.gain.gain_map import Vignetting
-from lfrender.flat.gray_flat import GrayFlat, correction_tables, make_gray_flat
+from lfrender.flat.gray_flat import (
+    GrayFlat,
+    correction_tables,
+    make_gray_flat,
+    trusted_radius,
+)
 
 BASES = [
     ((20, 0), (0, 20)),
@@ -32,6 +37,16 @@ def test_pixels_have_the_gain_of_the_nearest_lens(basis):
     trusted = distance < gray.radius + 0.9
     assert trusted.mean() > 0.4
     np.testing.assert_allclose(gray.image[trusted], wanted[trusted], rtol=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("beyond", "radius"), [(1.3, 7.0), (0.8, 7.0), (1.05, 8.6)], ids=["bright", "dim", "even"]
+)
+def test_only_pixels_as_bright_as_the_middle_are_compared(beyond, radius):
+    """Of rims that are brighter, light of the neighbours is a part."""
+    lattice = Lattice((101.0, 83.0), BASES[0], (200, 160), 9.6)
+    profile = Vignetting([1.0] * 14 + [beyond] * 10, 0.5)
+    assert abs(trusted_radius(Calibration(lattice, profile)) - radius) <= 0.25
 
 
 @pytest.mark.parametrize("channels", [1, 2, 3, 4])
