@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from lfrender.flat.prefilter import prefilter_flat, prefilter_packed
+from lfrender.flat.prefilter import pack_flat, prefilter_flat
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
@@ -44,11 +44,14 @@ def test_integers_are_filtered_exactly_and_rounded(shape, dtype):
     np.testing.assert_array_equal(prefilter_flat(flat), wanted)
 
 
+@pytest.mark.parametrize("sharpened", [True, False])
 @pytest.mark.parametrize("channels", [1, 2, 3])
-def test_packed_pixels_hold_the_bytes_of_the_prefiltered_flat(channels):
+def test_packed_pixels_hold_the_bytes_of_the_flat(channels, sharpened):
     flat = np.random.default_rng(8).integers(0, 256, (37, 53, channels), dtype=np.uint8)
-    packed = prefilter_packed(flat)
+    packed = pack_flat(flat, sharpened)
     assert packed.dtype == np.uint32 and packed.shape == (37, 53)
     bytes_of = packed.view(np.uint8).reshape(37, 53, 4)
-    np.testing.assert_array_equal(bytes_of[:, :, :channels], prefilter_flat(flat))
+    np.testing.assert_array_equal(
+        bytes_of[:, :, :channels], prefilter_flat(flat) if sharpened else flat
+    )
     assert not bytes_of[:, :, channels:].any()
