@@ -6,6 +6,8 @@ show one surface.
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -19,24 +21,48 @@ __all__ = ["project_surface"]
 
 # Side of the squares of grid values whose range is computed first.
 _SQUARE = 4
+# [px] Values cover so much more of a microimage on each side that no pixel between them is missed.
+_HALF_PIXEL = np.float32(0.25)
 
 
-@kernel(error_model="numpy", fastmath=FAST, share=lambda surface, pitch, lows, highs: len(lows))
-def _compute_ranges(begin, end, surface, pitch, lows, highs):
-    """Least and largest nearness in each square of the surface: `s` before the microlenses, `s + 2
-    D` behind them.
-    """
+class _Lengths(NamedTuple):
+    """Lengths of a projection, float32 [px]."""
+
+    pitch: Any
+    radius: Any  # of microimages
+    reach: Any  # from lenses to scene points that are projected
+    edge: Any  # patch sizes that differ by less belong to one surface
+
+
+class _Lens(NamedTuple):
+    """A microimage: centre and radius, float32 [px]."""
+
+    x: Any
+    y: Any
+    radius: Any
+
+
+@njit(fastmath=FAST, inline="always")
+def _nearness(s, pitch):
+    """Order of surfaces from far to near: `s` before the microlenses, `s + 2 D` behind them."""
+    return s if s > 0 else s + 2 * pitch
+
+
+@kernel(error_model="numpy", fastmath=FAST, share=lambda surface, pitch, ranges: ranges.shape[1])
+def _compute_ranges(begin, end, surface, pitch, ranges):
+    """Least and largest nearness in each square of the surface."""
     rows, columns = surface.shape
     for v in range(begin, end):
-        for u in range(lows.shape[1]):
+        for u in range(ranges.shape[2]):
             low = np.float32(np.inf)
             high = np.float32(-np.inf)
             for y in range(v * _SQUARE, min((v + 1) * _SQUARE, rows)):
                 for x in range(u * _SQUARE, min((u + 1) * _SQUARE, columns)):
-                    near = surface[y, x] if surface[y, x] > 0 else surface[y, x] + 2 * pitch
+                    near = _nearness(surface[y, x], pitch)
                     low = min(low, near)
                     high = max(high, near)
-            lows[v, u], highs[v, u] = low, high
+            ranges[0, v, u] = low
+            ranges[1, v, u] = high
 
 
 @njit(fastmath=FAST, inline="always")
@@ -47,15 +73,14 @@ def _squares_in_reach(centre, first, side, reach, count):
     )
 
 
-@kernel(
-    error_model="numpy", fastmath=FAST, share=lambda lows, highs, place, centres, *_: len(centres)
-)
-def _find_edged(
-    begin, end, lows, highs, place, centres, radius, reach, edge, corner, farthest, out
-):
+@kernel(error_model="numpy", fastmath=FAST, share=lambda ranges, centres, *_: len(centres))
+def _find_edged(begin, end, ranges, centres, place, lengths, corner, farthest, out):
     """Write the nearness of the farthest surface in reach of each lens with a depth edge there, NaN
     for other lenses, and set the pixels of the lenses with an edge to NaN in `out`.
     """
+    lows, highs = ranges
+    radius = lengths.radius
+    reach = lengths.reach
     first_x = place[0]
     first_y = place[1]
     side = _SQUARE * place[2]
@@ -82,84 +107,77 @@ def _find_edged(
             for u in range(low_u, end_u):
                 low = min(low, lows[v, u])
                 high = max(high, highs[v, u])
-        if high - low >= edge:
+        if high - low >= lengths.edge:
             farthest[lens] = low
             out[y - top : end_y - top, x - left : end_x - left] = np.nan
 
 
-@kernel(error_model="numpy", fastmath=FAST, share=lambda *given: len(given[4]))
-def _project(
-    begin,
-    end,
-    surface,
-    lows,
-    highs,
-    place,
-    centres,
-    radius,
-    pitch,
-    reach,
-    edge,
-    corner,
-    farthest,
-    out,
-):
-    """Set `out` to the patch size that pixels of lenses with a depth edge in reach see."""
+@njit(error_model="numpy", fastmath=FAST, forceinline=True)
+def _paint(s, x, y, half, lens, pitch, corner, out):
+    """Set the pixels of a microimage about (x, y), up to `half` away, to `s` unless they show a
+    nearer surface.
+    """
+    left = max(int(np.ceil(x - half)), corner[0])
+    right = min(int(np.floor(x + half)) + 1, corner[0] + out.shape[1])
+    top = max(int(np.ceil(y - half)), corner[1])
+    bottom = min(int(np.floor(y + half)) + 1, corner[1] + out.shape[0])
+    for v in range(top, bottom):
+        for u in range(left, right):
+            if square(u - lens.x) + square(v - lens.y) > lens.radius * lens.radius:
+                continue
+            shown = out[v - corner[1], u - corner[0]]
+            # True for NaN as well: nothing was projected to this pixel yet.
+            if not _nearness(shown, pitch) >= _nearness(s, pitch):
+                out[v - corner[1], u - corner[0]] = s
+
+
+@njit(error_model="numpy", fastmath=FAST, forceinline=True)
+def _project_values(surface, place, first, end, size, lens, pitch, farthest, corner, out):
+    """Project values of the surface into a microimage, from (u, v) `first` on to the `end`, `size`
+    rows and columns at once.
+    """
     rows, columns = surface.shape
     first_x, first_y, spacing = place
-    left = corner[0]
-    top = corner[1]
-    right = corner[0] + out.shape[1]
-    bottom = corner[1] + out.shape[0]
-    half_pixel = np.float32(0.25)
-    per_pitch = np.float32(1.0) / pitch
-    side = _SQUARE * spacing
-    for lens in range(begin, end):
-        if np.isnan(farthest[lens]):
+    beyond = np.float32(0.5) * np.float32(size - 1)
+    for v in range(first[1], min(end[1], rows), size):
+        for u in range(first[0], min(end[0], columns), size):
+            s = surface[min(v + size // 2, rows - 1), min(u + size // 2, columns - 1)]
+            if _nearness(s, pitch) <= farthest:
+                continue
+            tilt = s * (np.float32(1) / pitch)
+            dx = -np.float32(first_x + (u + beyond) * spacing - lens.x) * tilt
+            dy = -np.float32(first_y + (v + beyond) * spacing - lens.y) * tilt
+            # Values cover a square of this size in the microimage.
+            half = np.float32(0.5) * abs(tilt) * spacing * size + _HALF_PIXEL
+            if dx * dx + dy * dy <= square(lens.radius + np.float32(1.42) * half):
+                _paint(s, lens.x + dx, lens.y + dy, half, lens, pitch, corner, out)
+
+
+@kernel(error_model="numpy", fastmath=FAST, share=lambda *given: len(given[2]))
+def _project(begin, end, surface, ranges, centres, place, lengths, corner, farthest, out):
+    """Set `out` to the patch size that pixels of lenses with a depth edge in reach see."""
+    lows, highs = ranges
+    for index in range(begin, end):
+        if np.isnan(farthest[index]):
             continue
-        cx = centres[lens, 0]
-        cy = centres[lens, 1]
-        beyond_far = farthest[lens] + edge
-        low_u, end_u = _squares_in_reach(cx, first_x, side, reach, lows.shape[1])
-        low_v, end_v = _squares_in_reach(cy, first_y, side, reach, lows.shape[0])
-        for square_v in range(low_v, end_v):
-            for square_u in range(low_u, end_u):
-                # The farthest surface occludes nothing.
-                if highs[square_v, square_u] <= beyond_far:
+        lens = _Lens(centres[index, 0], centres[index, 1], lengths.radius)
+        # The farthest surface occludes nothing.
+        far = farthest[index] + lengths.edge
+        side = _SQUARE * place[2]
+        low_u, end_u = _squares_in_reach(lens.x, place[0], side, lengths.reach, lows.shape[1])
+        low_v, end_v = _squares_in_reach(lens.y, place[1], side, lengths.reach, lows.shape[0])
+        for v in range(low_v, end_v):
+            for u in range(low_u, end_u):
+                if highs[v, u] <= far:
                     continue
                 # A square of nearly one depth is projected as a whole.
-                whole = (
-                    highs[square_v, square_u] - lows[square_v, square_u] < np.float32(0.5) * edge
-                )
+                whole = highs[v, u] - lows[v, u] < np.float32(0.5) * lengths.edge
+                first = (u * _SQUARE, v * _SQUARE)
+                last = ((u + 1) * _SQUARE, (v + 1) * _SQUARE)
                 size = _SQUARE if whole else 1
-                beyond = np.float32(0.5) * np.float32(size - 1)
-                for v in range(square_v * _SQUARE, min((square_v + 1) * _SQUARE, rows), size):
-                    for u in range(
-                        square_u * _SQUARE, min((square_u + 1) * _SQUARE, columns), size
-                    ):
-                        s = surface[min(v + size // 2, rows - 1), min(u + size // 2, columns - 1)]
-                        near = s if s > 0 else s + 2 * pitch
-                        if near <= beyond_far:
-                            continue
-                        tilt = s * per_pitch
-                        dx = -np.float32(first_x + (u + beyond) * spacing - cx) * tilt
-                        dy = -np.float32(first_y + (v + beyond) * spacing - cy) * tilt
-                        # What is projected covers a square of this size in the microimage.
-                        half = np.float32(0.5) * abs(tilt) * spacing * size + half_pixel
-                        if dx * dx + dy * dy > square(radius + np.float32(1.42) * half):
-                            continue
-                        low_y = max(int(np.ceil(cy + dy - half)), top)
-                        end_y = int(np.floor(cy + dy + half)) + 1
-                        low_x = max(int(np.ceil(cx + dx - half)), left)
-                        end_x = int(np.floor(cx + dx + half)) + 1
-                        for y in range(low_y, min(end_y, bottom)):
-                            for x in range(low_x, min(end_x, right)):
-                                if square(x - cx) + square(y - cy) > radius * radius:
-                                    continue
-                                shown = out[y - top, x - left]
-                                # True for NaN as well: nothing was projected to this pixel yet.
-                                if not (shown if shown > 0 else shown + 2 * pitch) >= near:
-                                    out[y - top, x - left] = s
+                _project_values(
+                    surface, place, first, last, size, lens, lengths.pitch, far, corner, out
+                )
 
 
 def project_surface(
@@ -183,19 +201,16 @@ def project_surface(
         out.fill(np.nan)
     values = surface.patch_size
     farthest = np.empty(len(lattice), np.float32)
-    lows, highs = np.empty(
-        (2, -(-values.shape[0] // _SQUARE), -(-values.shape[1] // _SQUARE)), np.float32
-    )
+    squares = (-(-count // _SQUARE) for count in values.shape)
+    ranges = np.empty((2, *squares), np.float32)
     # No two lenses share a pixel, but for rounding of their centres.
     apart = float(np.linalg.norm(lattice.steps @ lattice.basis, axis=1).min()) / 2 - 0.01
-    radius, reach, step, pitch = np.array(
-        [min(lattice.radius, apart), reach, edge, lattice.pitch], np.float32
-    )
-    place = np.float32(surface.first[0]), np.float32(surface.first[1]), np.float32(surface.spacing)
-    _compute_ranges(values, pitch, lows, highs)
+    radius = min(lattice.radius, apart)
+    lengths = _Lengths(*map(np.float32, (lattice.pitch, radius, reach, edge)))
+    place = tuple(map(np.float32, (*surface.first, surface.spacing)))
     centres = lattice.centres().astype(np.float32)
-    _find_edged(lows, highs, place, centres, radius, reach, step, (left, top), farthest, out)
-    _project(
-        values, lows, highs, place, centres, radius, pitch, reach, step, (left, top), farthest, out
-    )
+    corner = (left, top)
+    _compute_ranges(values, lengths.pitch, ranges)
+    _find_edged(ranges, centres, place, lengths, corner, farthest, out)
+    _project(values, ranges, centres, place, lengths, corner, farthest, out)
     return out, ~np.isnan(farthest)
