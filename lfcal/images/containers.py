@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-import os
 import struct
 from contextlib import suppress
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -55,10 +55,13 @@ _NUMERIC_CODECS = {
     "zlib",
     "zstd",
 }
-# Entry of the index of a Zarr shard, and its checksum [bytes]. The length of a missing chunk is the
-# largest number.
-_SHARD_ENTRY = np.dtype([("start", "<u8"), ("length", "<u8")])
-_CHECKSUM = 4
+# Value of missing chunks of a Zarr array. Where pixels have it, they are read again: one that few
+# pixels have saves time.
+_FILL = 113
+_MISSING = (
+    "is missing or incomplete; copy the array anew, or write empty chunks too (in Zarr: "
+    "write_empty_chunks=True)"
+)
 # Header of a Blosc block: bytes of its pixels, and of the block.
 _BLOSC_HEADER = struct.Struct("<4xI4xI")
 _MOST_CHANNELS = 4
@@ -100,14 +103,12 @@ def _is_dataset(file: Any, name: str) -> bool:
     import h5py
 
     item = file
-    path = ""
     for part in name.split("/"):
-        path = f"{path}/{part}"
-        # `part in item` would follow the link.
-        if not isinstance(item, h5py.Group) or not item.id.links.exists(part.encode()):
+        link = isinstance(item, h5py.Group) and item.get(part, getlink=True)
+        if not link:
             return False
-        if item.id.links.get_info(part.encode()).type != h5py.h5l.TYPE_HARD:
-            raise FlatError(f"'{path}' is a link; copy the data into the file (h5repack)")
+        if not isinstance(link, h5py.HardLink):
+            raise FlatError(f"'{part}' is a link; copy the data into the file (h5repack)")
         item = item[part]
     return isinstance(item, h5py.Dataset)
 
@@ -170,34 +171,31 @@ def read_openexr(path: Path, page: int | None) -> NDArray[np.float32]:
     check_only_page(page)
     with exr.File(str(path), header_only=True) as file:
         # The library leaves out parts that it cannot read.
-        height = 0
-        if file.parts:
-            left, top, right, bottom = np.ravel(file.header()["dataWindow"]).tolist()
-            height = bottom - top + 1
-            check_size(right - left + 1, height)
+        if len(file.parts) != 1:
+            raise FlatError(
+                f"damaged or truncated OpenEXR, or one of {len(file.parts)} pictures: save the one "
+                "that is the flat alone"
+            )
+        left, top, right, bottom = np.ravel(file.header()["dataWindow"]).tolist()
+    height = bottom - top + 1
+    check_size(right - left + 1, height)
     # Every block of at most 256 rows has an entry of 8 bytes in a table.
-    if not 0 < height <= 32 * path.stat().st_size:
+    if height > 32 * path.stat().st_size:
         raise FlatError("damaged or truncated OpenEXR")
     with exr.File(str(path), separate_channels=True) as file:
         if not file.parts:
             raise FlatError("damaged or truncated OpenEXR")
-        if len(file.parts) != 1:
-            raise FlatError(
-                f"the OpenEXR file holds {len(file.parts)} pictures; save the one that is the flat "
-                "alone"
-            )
-        channels: dict[str, Any] = {
-            name: channel.pixels for name, channel in file.channels().items()
-        }
+        channels = {name: channel.pixels for name, channel in file.channels().items()}
     if {"R", "G", "B"} <= set(channels):
         return np.stack([channels[name] for name in "RGB"], -1).astype(np.float32)
-    names = ("Y", "L", "luminance") if len(channels) > 1 else channels
-    named = [name for name in names if name in channels]
-    if not named:
+    found = [name for name in ("Y", "L", "luminance") if name in channels]
+    if len(channels) == 1:
+        found = list(channels)
+    if not found:
         raise FlatError(
             f"holds the channels {', '.join(sorted(channels))}; save R, G, B or one channel"
         )
-    return np.asarray(channels[named[0]], np.float32)
+    return np.asarray(channels[found[0]], np.float32)
 
 
 def read_raw_photo(path: Path, page: int | None) -> NDArray[Any]:
@@ -241,65 +239,51 @@ class ZarrFlat(NamedTuple):
         """Pixels as stored, channels last; FlatError if a chunk is missing."""
         channels = [slice(0, self.shape[2])] if len(self.shape) == 3 else []
         parts = [*channels, rows, columns] if self.channels_first else [rows, columns, *channels]
+        parts = [slice(0, 1)] * self.leading + parts
         self._check_chunks(parts)
-        pixels = np.asarray(self.array[(*(0,) * self.leading, *parts)])
+        pixels = self._filled(_FILL, parts)
+        # Chunks that are missing in shards have the value that they are filled with.
+        is_doubtful = self.array.shards is not None and (pixels == _FILL).any()
+        if is_doubtful and not np.array_equal(pixels, self._filled(0, parts)):
+            raise FlatError(f"a chunk of a shard {_MISSING}")
+        pixels = pixels[(0,) * self.leading]
         if self.channels_first:
             return np.moveaxis(pixels, 0, -1)
         return pixels
 
+    def _filled(self, value: int, parts: list[slice]) -> NDArray[Any]:
+        """Parts of the array along its axes, with a value where chunks are missing."""
+        import zarr
+
+        fill = self.array.dtype.type(value)
+        metadata = replace(self.array.metadata, fill_value=fill)
+        place = self.array.store_path
+        array: Any = zarr.Array(zarr.AsyncArray(metadata=metadata, store_path=place))
+        return np.asarray(array[tuple(parts)])
+
     def _check_chunks(self, parts: list[slice]) -> None:
-        metadata = self.array.metadata
-        parts = [slice(0, 1)] * self.leading + parts
-        sides = metadata.chunk_grid.chunk_shape
-        blosc = _is_blosc(metadata)
-        folder = Path(self.array.store.root) / self.array.path
+        """Raise FlatError if files of chunks are missing, or blocks of Blosc truncated.
+
+        The decoder of Blosc would read beyond their end.
+        """
+        is_blosc = _is_blosc(self.array.metadata)
+        sides = self.array.metadata.chunk_grid.chunk_shape
+        size = math.prod(sides) * self.array.dtype.itemsize
         numbers = (
             range(p.start // side, -(-p.stop // side)) for p, side in zip(parts, sides, strict=True)
         )
         for chunk in product(*numbers):
-            name = metadata.encode_chunk_key(chunk)
-            is_missing = not (folder / name).is_file()
-            if not is_missing and self.array.shards is not None:
-                is_missing = _has_gaps(folder / name, self.array, chunk, parts)
-            if is_missing:
-                advice = (
-                    "copy the array anew, or write empty chunks too (in Zarr: "
-                    "write_empty_chunks=True)"
-                )
-                raise FlatError(f"the chunk '{name}' is missing or incomplete; {advice}")
-            if blosc and not _is_whole_blosc(
-                folder / name, math.prod(sides) * self.array.dtype.itemsize
-            ):
+            name = self.array.metadata.encode_chunk_key(chunk)
+            path = Path(self.array.store.root, self.array.path, name)
+            if not path.is_file():
+                raise FlatError(f"the chunk '{name}' {_MISSING}")
+            if not is_blosc:
+                continue
+            with path.open("rb") as file:
+                head = file.read(_BLOSC_HEADER.size).ljust(_BLOSC_HEADER.size, b"\0")
+            unpacked, packed = _BLOSC_HEADER.unpack(head)
+            if unpacked != size or packed > path.stat().st_size:
                 raise FlatError(f"the chunk '{name}' is truncated or damaged; copy the array anew")
-
-
-def _has_gaps(path: Path, array: Any, shard: tuple[int, ...], parts: list[slice]) -> bool:
-    """Whether chunks that overlap some parts are missing in the file of a shard.
-
-    The decoder fills them in. Source: Zarr 3 specification, codec `sharding_indexed`.
-    """
-    counts = [side // inner for side, inner in zip(array.shards, array.chunks, strict=True)]
-    size = _SHARD_ENTRY.itemsize * math.prod(counts)
-    settings = array.metadata.to_dict()["codecs"][0]["configuration"]
-    names = [codec["name"] for codec in settings["index_codecs"]]
-    if names != ["bytes", "crc32c"]:
-        raise FlatError(f"shards with an index of the codecs {names} are not read")
-    with path.open("rb") as file:
-        stored = file.seek(0, os.SEEK_END)
-        if stored < size + _CHECKSUM:
-            return True
-        file.seek(0 if settings["index_location"] == "start" else stored - size - _CHECKSUM)
-        entries = np.frombuffer(file.read(size), _SHARD_ENTRY).reshape(counts)
-    wanted = []
-    for part, number, side, inner in zip(parts, shard, array.shards, array.chunks, strict=True):
-        first = number * side
-        low = max(part.start - first, 0) // inner
-        high = -(-min(part.stop - first, side) // inner)
-        wanted.append(slice(low, high))
-    overlapping = entries[tuple(wanted)]
-    ends = overlapping["start"] + overlapping["length"]
-    is_gap = (overlapping["length"] > stored) | (ends > stored)
-    return bool(is_gap.any())
 
 
 def _is_blosc(metadata: Any) -> bool:
@@ -307,15 +291,6 @@ def _is_blosc(metadata: Any) -> bool:
     old = getattr(getattr(metadata, "compressor", None), "codec_id", None)
     kinds = [type(codec).__name__ for codec in getattr(metadata, "codecs", None) or ()]
     return old == "blosc" or ("BloscCodec" in kinds and "ShardingCodec" not in kinds)
-
-
-def _is_whole_blosc(path: Path, size: int) -> bool:
-    """Whether a block has all bytes of its header; the decoder reads beyond the end of others."""
-    with path.open("rb") as file:
-        unpacked, packed = _BLOSC_HEADER.unpack(
-            file.read(_BLOSC_HEADER.size).ljust(_BLOSC_HEADER.size, b"\0")
-        )
-    return bool(unpacked == size and packed <= path.stat().st_size)
 
 
 def is_zarr(path: Path) -> bool:

@@ -119,6 +119,8 @@ def _layout(about: memoryview) -> tuple[int, int, int]:
 
 def unpack_pixels(data: memoryview, width: int, height: int, bits: int) -> NDArray[np.uint16]:
     """(height, width) the pixels of packed data."""
+    import imagecodecs
+
     check_size(width, height)
     # Four pixels of 10 bits, or two of 12, fill whole bytes.
     if bits not in (10, 12) or width * height % 4:
@@ -126,14 +128,10 @@ def unpack_pixels(data: memoryview, width: int, height: int, bits: int) -> NDArr
     size = width * height * bits // 8
     if len(data) < size:
         raise FlatError(f"truncated Lytro file: {size - len(data)} bytes of pixels are missing")
-    packed = np.frombuffer(data, np.uint8, size).astype(np.uint16)
-    pixels = np.empty(width * height, np.uint16)
     if bits == 12:
-        first, middle, last = packed.reshape(-1, 3).T
-        pixels[0::2] = first << 4 | middle >> 4
-        pixels[1::2] = (middle % 16) << 8 | last
-    else:
-        *high, low = packed.reshape(-1, 5).T
-        for k, eight in enumerate(high):
-            pixels[k::4] = eight << 2 | low >> (2 * k) & 3
-    return pixels.reshape(height, width)
+        packed = bytes(data[:size])
+        return imagecodecs.packints_decode(packed, np.uint16, bits).reshape(height, width)
+    fives = np.frombuffer(data, np.uint8, size).reshape(-1, 5).astype(np.uint16)
+    lowest = fives[:, 4:] >> np.arange(0, 8, 2, dtype=np.uint16) & 3
+    pixels = fives[:, :4] << 2 | lowest
+    return pixels.astype(np.uint16, copy=False).reshape(height, width)

@@ -1,9 +1,9 @@
 """Checks of all readers of flats, and readers of PNG, WebP, JPEG, BMP, PGM and PPM files.
 
 Pillow reads the size before anything is decoded, and the checksums of PNG. It decodes PNG of 8
-bits, JPEG and BMP, because OpenCV returns half-empty pictures of truncated ones. OpenCV decodes
-WebP and PNG of 16 bits, because Pillow reduces colours to 8 bits. Both scale the samples of some
-PGM and PPM files, which are read here.
+bits, JPEG and BMP; imagecodecs decodes WebP, whose colours Pillow multiplies by alpha, and PNG of
+16 bits, whose colours Pillow reduces to 8. Both scale the samples of some PGM and PPM files, which
+are read here.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..runtime.errors import FlatError
-from ..runtime.opencv_log import silent_opencv
 from ..runtime.packages import import_package
 
 __all__ = [
@@ -35,7 +34,6 @@ __all__ = [
     "check_unpacked",
     "convert_pixels",
     "decode_picture",
-    "decode_with_opencv",
     "file_errors",
     "import_reader",
 ]
@@ -58,8 +56,7 @@ _PILLOW_NAMES = {
 # The kind of a Netpbm file, then width, height and maximum, between spaces and comments.
 _NETPBM_COMMENT = re.compile(rb"#[^\r\n]*")
 _NETPBM_HEADER = re.compile(rb"P([2356])" + 3 * rb"(?:\s|#[^\r\n]*[\r\n])+(\d{1,9})" + rb"\s")
-# Position in a PNG file of the bits of a sample; the kind of its colours follows: 0 is grey, 4 grey
-# with alpha.
+# Position in a PNG file of the bits of a sample.
 _PNG_BITS = 24
 
 
@@ -222,6 +219,8 @@ def check_unpacked(size: float, stored: int) -> None:
 
 def decode_picture(data: bytes, name: str) -> NDArray[Any]:
     """Pixels (h, w) or (h, w, c) of the bytes of a file in the format `name`, with all bits."""
+    import imagecodecs
+
     if name in ("PGM", "PPM"):
         return _decode_netpbm(data)
     image = _open_with_pillow(data, name)
@@ -232,10 +231,10 @@ def decode_picture(data: bytes, name: str) -> NDArray[Any]:
         # Decoders do not notice a missing end; the checksums of all chunks do.
         image.verify()
         if data[_PNG_BITS] > 8:
-            return decode_with_opencv(data, grey=data[_PNG_BITS + 1] in (0, 4))
+            return imagecodecs.png_decode(data)
         image = _open_with_pillow(data, name)
     elif name == "WebP":
-        return decode_with_opencv(data)
+        return imagecodecs.webp_decode(data)
     if image.mode == "P":
         palette = np.array(image.getpalette("RGB"), np.uint8).reshape(-1, 3)
         return apply_palette(np.asarray(image), palette)
@@ -273,18 +272,3 @@ def _open_with_pillow(data: bytes, name: str) -> Any:
     pillow = _PILLOW_NAMES[name]
     plugin = import_module(f"PIL.{pillow}ImagePlugin")
     return getattr(plugin, f"{pillow}ImageFile")(io.BytesIO(data))
-
-
-def decode_with_opencv(data: bytes, grey: bool = False) -> NDArray[Any]:
-    """Pixels of any file that OpenCV reads, RGB without alpha; a `grey` file may have alpha."""
-    import cv2
-
-    with silent_opencv():
-        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    if pixels is None:
-        raise FlatError("damaged image file: its pixels cannot be decoded")
-    check_size(pixels.shape[1], pixels.shape[0])
-    if grey or pixels.ndim == 2:
-        return pixels.reshape(*pixels.shape[:2], -1)[..., 0]
-    # This drops alpha and leaves the colours below it unchanged.
-    return cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB if pixels.shape[2] == 3 else cv2.COLOR_BGRA2RGB)

@@ -70,23 +70,17 @@ class FlatSource(ExitStack):
 
     def _subtract(self, dark: FlatSource) -> None:
         """Subtract a dark frame from every part."""
-        if dark.shape[:2] != self.shape[:2]:
-            sizes = " and ".join(f"{shape[1]} x {shape[0]}" for shape in (dark.shape, self.shape))
-            raise FlatError(
-                f"{dark.path}: dark frame and flat must be of one size, they have {sizes} px"
-            )
+        with file_errors(dark.path):
+            _check_dark(self, dark)
         plain = self._read
 
         def read(rows: slice, columns: slice) -> NDArray[Any]:
             black = dark.read(columns.start, rows.start, columns.stop, rows.stop)
             pixels = convert_pixels(plain(rows, columns))
-            with file_errors(dark.path):
-                return subtract_dark(pixels, black)
+            return subtract_dark(pixels, black)
 
         self._read = read
         self.dark = dark.path
-        # Raises an error if their types do not fit.
-        self.read(0, 0, 1, 1)
 
     @property
     def nbytes(self) -> int:
@@ -178,9 +172,15 @@ def subtract_dark(flat: NDArray[Any], dark: NDArray[Any]) -> NDArray[Any]:
     dark = np.asarray(dark)
     if dark.ndim == 2 and flat.ndim == 3:
         dark = dark[:, :, None]
-    if dark.shape[:2] != flat.shape[:2] or (
-        dark.ndim == 3 and dark.shape[2] not in (1, flat.shape[-1])
-    ):
+    _check_dark(flat, dark)
+    if flat.dtype.kind == "u":
+        dark = np.minimum(dark, flat)
+    return np.asarray(flat - dark, flat.dtype)
+
+
+def _check_dark(flat: NDArray[Any] | FlatSource, dark: NDArray[Any] | FlatSource) -> None:
+    """Raise FlatError unless a dark frame has the size, colours and kind of type of a flat."""
+    if dark.shape[:2] != flat.shape[:2] or dark.shape[2:] not in ((), (1,), flat.shape[2:]):
         raise FlatError(
             f"dark frame has shape {dark.shape}, the flat {flat.shape}; give one of the same sensor"
         )
@@ -190,4 +190,3 @@ def subtract_dark(flat: NDArray[Any], dark: NDArray[Any]) -> NDArray[Any]:
             f"dark frame is {dark.dtype}, the flat {flat.dtype}; give both as the sensor "
             "stores them"
         )
-    return np.asarray(flat - (np.minimum(dark, flat) if whole else dark), flat.dtype)

@@ -8,7 +8,6 @@ import os
 import struct
 from collections.abc import Callable
 from pathlib import Path
-from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -195,12 +194,16 @@ def read_tiff(source: Path, number: int | None) -> NDArray[Any]:
     """Pixels of the page `number` of a TIFF, or of its only full picture."""
     with open_tiff(source) as tiff:
         page = select_tiff_page(tiff, number)
-        return _convert(page.asarray(), page)
+        pixels = page.asarray()
+        if page.axes == "SYX":
+            pixels = np.moveaxis(pixels, 0, -1)
+        return _convert(pixels, page)
 
 
 def _convert(pixels: NDArray[Any], page: Any) -> NDArray[Any]:
-    if page.axes == "SYX":
-        pixels = np.moveaxis(pixels, 0, -1)
+    """Pixels (h, w) or (h, w, c) by their kind of colours."""
+    if page.samplesperpixel == 1:
+        pixels = pixels.reshape(pixels.shape[:2])
     kind = page.photometric.name
     if kind == "PALETTE":
         # Colour maps have 16 bits, but some programs write values of 8 bits.
@@ -228,50 +231,39 @@ def part_reader(
     if page.is_memmappable and page.axes != "SYX":
         pixels = tifffile.memmap(source, page=page.index, mode="r")
         return lambda rows, columns: _convert(np.array(pixels[rows, columns]), page), shape
-    side = _segment_size(page)
-    if side[0] * side[1] * page.samplesperpixel * page.dtype.itemsize > _MOST_SEGMENT:
+    height, width = _segment_size(page)
+    if height * width * page.samplesperpixel * page.dtype.itemsize > _MOST_SEGMENT:
         raise NotImplementedError("strips or tiles are too large to be read in parts")
-    lock = Lock()
-    return lambda rows, columns: _convert(
-        _read_segments(tiff, page, side, lock, rows, columns), page
-    ), shape
+    # Several threads may read parts.
+    tiff.filehandle.set_lock(True)
+    return lambda rows, columns: _convert(_read_segments(page, rows, columns), page), shape
 
 
-def _read_segments(
-    tiff: Any, page: Any, side: tuple[int, int], lock: Lock, rows: slice, columns: slice
-) -> NDArray[Any]:
-    """The pixels of some rows and columns, from strips or tiles of (height, width) `side`."""
+def _read_segments(page: Any, rows: slice, columns: slice) -> NDArray[Any]:
+    """The pixels (h, w, c) of some rows and columns, from the strips or tiles that overlap them."""
     from concurrent.futures import ThreadPoolExecutor
 
-    down = -(-page.imagelength // side[0])
-    across = -(-page.imagewidth // side[1])
-    size = rows.stop - rows.start, columns.stop - columns.start
-    channels = (page.samplesperpixel,) if page.samplesperpixel > 1 else ()
-    planes = page.axes == "SYX"
-    out = np.zeros((*channels, *size) if planes else (*size, *channels), page.dtype)
-
-    def decode(number: int) -> None:
-        with lock:
-            tiff.filehandle.seek(page.dataoffsets[number])
-            data = tiff.filehandle.read(page.databytecounts[number])
-        decoded, (plane, _, top, left, _), _ = page.decode(data, number, jpegtables=page.jpegtables)
-        if decoded is None:
-            return
-        # The part of the segment that is wanted, and its place in the output.
-        pixels = decoded[0][max(rows.start - top, 0) :, max(columns.start - left, 0) :]
-        into = out
-        if planes:
-            into = out[plane]
-        place = into[max(top - rows.start, 0) :, max(left - columns.start, 0) :]
-        place = place[: pixels.shape[0], : pixels.shape[1]]
-        place[...] = pixels[: place.shape[0], : place.shape[1]].reshape(place.shape)
-
-    wanted = [
-        (plane * down + v) * across + u
-        for plane in range(page.samplesperpixel if planes else 1)
-        for v in range(rows.start // side[0], -(-rows.stop // side[0]))
-        for u in range(columns.start // side[1], -(-columns.stop // side[1]))
-    ]
+    height, width = _segment_size(page)
+    planes = page.samplesperpixel if page.axes == "SYX" else 1
+    top = rows.start // height
+    left = columns.start // width
+    table = np.arange(len(page.dataoffsets)).reshape(planes, -1, -(-page.imagewidth // width))
+    table = table[:, top : -(-rows.stop // height), left : -(-columns.stop // width)]
+    _, down, across = table.shape
+    size = (planes, down * height, across * width, page.samplesperpixel // planes)
+    block = np.zeros(size, page.dtype)
+    wanted = table.ravel()
+    stored = page.parent.filehandle.read_segments(
+        *(np.take(place, wanted).tolist() for place in (page.dataoffsets, page.databytecounts)),
+        wanted.tolist(),
+    )
     with ThreadPoolExecutor(min(len(wanted), os.cpu_count() or 1)) as pool:
-        list(pool.map(decode, wanted))
-    return out
+        decoded = pool.map(lambda one: page.decode(*one, jpegtables=page.jpegtables), stored)
+        for pixels, (plane, _, y, x, _), _ in decoded:
+            if pixels is not None:
+                place = block[plane, y - top * height :, x - left * width :]
+                place[: pixels.shape[1], : pixels.shape[2]] = pixels[0]
+    part = np.concatenate(block, axis=-1)
+    return part[rows.start - top * height :, columns.start - left * width :][
+        : rows.stop - rows.start, : columns.stop - columns.start
+    ]
