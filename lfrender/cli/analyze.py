@@ -9,15 +9,21 @@ import click
 
 from lfcal.runtime.output_file import check_output
 
+from ..runtime.types import Entries
 from .inputs import CaptureInput, is_large
-from .options import at_most_one, capture_command, connect_cluster, option_errors
-from .printed import figures
+from .options import capture_command, connect_cluster, option_errors, refuse_together
 from .printed.results import AnalyzeResult
 
 if TYPE_CHECKING:
     from lfcal import Calibration, Optics
 
+    from ..data.depth_map import DepthMap
+
 __all__ = ["analyze"]
+
+_CLUSTER = ("workers", "scheduler")
+# Forms of flats that are analysed as a whole.
+_WHOLE = ("ply", "mesh")
 
 # Suffixes of the forms of depth beside .npz, by the option for each; an output with that of several
 # is the first one.
@@ -45,6 +51,7 @@ _FORMS = {
         "What to analyse": "edges exhaustive",
         "Several processes": "workers scheduler",
     },
+    exclusive=("edges roi workers", "edges scheduler", "roi scheduler"),
 )
 def analyze(capture: CaptureInput, given: Any) -> None:
     """Find the depth of every microlens of FLAT, and its mode.
@@ -59,101 +66,108 @@ def analyze(capture: CaptureInput, given: Any) -> None:
     from ..output.point_cloud import check_mesh_file
 
     report = capture.report
-    roi = capture.roi
     output = given.output
-    edges = given.edges
-    check_output(output, {".npz"}.union(*_FORMS.values()))
-    forms: dict[str, Path] = {}
-    for name, suffixes in _FORMS.items():
-        if (path := getattr(given, name)) is not None:
-            check_output(path, suffixes)
-            forms[name] = path
-        own = output.suffix.lower() in suffixes and output not in forms.values()
-        if own and name != "uncertainty":
-            at_most_one("--output", output, f"--{name}", path)
-            forms[name] = output
-    if "dense" in forms:
+    forms = _choose_forms(given)
+    if forms["dense"]:
         check_dense_file(forms["dense"])
-    if "mesh" in forms:
+    if forms["mesh"]:
         check_mesh_file(forms["mesh"])
-    on_cluster = given.workers or given.scheduler
-    whole = {f"--{name}": forms[name] for name in ("ply", "mesh") if name in forms}
-    for option, path in whole.items():
-        at_most_one("--workers or --scheduler", on_cluster, "--roi", roi, option, path)
-    at_most_one("--edges", edges or None, "--roi", roi, "--workers or --scheduler", on_cluster)
-    if given.unfilled and "dense" not in forms:
+    values = {**vars(given), **forms, "roi": capture.roi}
+    refuse_together(values, *(f"{name} roi {form}" for name in _CLUSTER for form in _WHOLE))
+    if given.unfilled and not forms["dense"]:
         raise click.UsageError("--unfilled is for --dense")
     given.optics = given.optics and Optics.load(given.optics)
+    whole = capture.roi or forms["ply"] or forms["mesh"]
+    large = given.workers or given.scheduler or (not given.edges and is_large(capture.flat))
+    options: Entries = {"skip": not given.exhaustive}
     pixels = None
-    if roi is None and not whole and (on_cluster or (not edges and is_large(capture.flat))):
+    if large and not whole:
         with connect_cluster(given, report) as cluster, capture.open_parts() as source:
             calibration = capture.calibrate_parts(source)
             optics = _choose_optics(given, calibration)
             with report.stage("analyze"):
-                depth = capture.analyze_parts(
-                    source, calibration, cluster, skip=not given.exhaustive
-                )
+                depth = capture.analyze_parts(source, calibration, cluster, **options)
     else:
         pixels, calibration = capture.calibrate(capture.read())
         optics = _choose_optics(given, calibration)
+        options |= {"roi": capture.roi, "edges": given.edges}
         with option_errors():
-            depth = capture.analyze(
-                pixels, calibration, skip=not given.exhaustive, roi=roi, edges=edges
-            )
-    found = {"depth": str(output), **figures.capture_figures(calibration, depth, optics)}
+            depth = capture.analyze(pixels, calibration, **options)
+    found: Entries = {"depth": output}
     closing = []
     with report.stage("write"):
         if output.suffix.lower() == ".npz":
             depth.save(output)
-        if "dense" in forms:
-            from ..data.dense_depth import dense_depth, dense_distance, write_dense
-
-            grid = dense_depth(depth, fill=not given.unfilled)
-            distance = None
-            if given.metres and optics is not None:
-                distance = dense_distance(grid, optics)
-            write_dense(forms["dense"], grid, distance)
-        if "picture" in forms:
-            from ..data.depth_order import depth_limits, describe_scale, name_ends
-            from ..output.depth_picture import add_legend, depth_picture
-            from ..output.picture import write_picture
-
-            limits = depth_limits(depth)
-            found["colours"] = list(limits)
-            shown = add_legend(depth_picture(depth), name_ends(limits))
-            write_picture(forms["picture"], shown, settings={"far_near": list(limits)})
-            closing.append(f"{forms['picture']}: {describe_scale(limits)}.")
-        if "uncertainty" in forms:
-            from ..output.depth_picture import ERROR_SCALE, add_legend, uncertainty_picture
-            from ..output.picture import write_picture
-
-            shown, errors = uncertainty_picture(depth)
-            sure, unsure = (f"{error:.2g} px" for error in errors)
-            shown = add_legend(shown, (sure, unsure), ERROR_SCALE)
-            write_picture(forms["uncertainty"], shown, settings={"standard_error": list(errors)})
-            closing.append(
-                f"{forms['uncertainty']}: standard error of the patch size from {sure} (dark) to "
-                f"{unsure} (light), logarithmic; grey: no depth."
-            )
+        if forms["dense"]:
+            _write_dense(forms["dense"], depth, given, optics)
+        for name in ("picture", "uncertainty"):
+            path = forms[name]
+            if path is not None:
+                closing.append(_write_colours(path, name, depth, found))
         if whole and pixels is not None:
             from ..output.point_cloud import mesh, point_cloud, write_mesh, write_points
 
-            if "ply" in forms:
-                write_points(
-                    forms["ply"],
-                    point_cloud(pixels, calibration, depth, optics),
-                    metres=optics is not None,
-                )
-            if "mesh" in forms:
+            if forms["ply"]:
+                points = point_cloud(pixels, calibration, depth, optics)
+                write_points(forms["ply"], points, metres=optics is not None)
+            if forms["mesh"]:
                 surface = mesh(pixels, calibration, depth, optics)
                 write_mesh(forms["mesh"], surface)
-                closing.append(
-                    f"{forms['mesh']}: {len(surface.faces):,} triangles; "
-                    f"{surface.metadata['axes']}."
-                )
-    written = dict.fromkeys(map(str, (output, *forms.values())))
-    sentences = capture.sentences(calibration, depth, optics)
-    report.finish(found, *sentences, f"{', '.join(written)} in {report.took}.", *closing)
+                about = f"{len(surface.faces):,} triangles; {surface.metadata['axes']}"
+                closing.append(f"{forms['mesh']}: {about}.")
+    written = dict.fromkeys(str(path) for path in (output, *forms.values()) if path)
+    closing.insert(0, f"{', '.join(written)} in {report.took}.")
+    capture.conclude(found, calibration, depth, *closing, optics=optics)
+
+
+def _choose_forms(given: Any) -> dict[str, Path | None]:
+    """The files of the further forms; that of the output is the first with its suffix."""
+    output = given.output
+    check_output(output, {".npz"}.union(*_FORMS.values()))
+    forms: dict[str, Path | None] = {name: getattr(given, name) for name in _FORMS}
+    for name, path in forms.items():
+        if path is not None:
+            check_output(path, _FORMS[name])
+    suffix = output.suffix.lower()
+    for name in (name for name, suffixes in _FORMS.items() if suffix in suffixes):
+        if forms[name]:
+            raise click.UsageError(f"--output and --{name} exclude each other")
+        forms[name] = output
+        break
+    return forms
+
+
+def _write_dense(path: Path, depth: DepthMap, given: Any, optics: Optics | None) -> None:
+    """Write the patch size of every pixel, or its distance."""
+    from ..data.dense_depth import dense_depth, dense_distance, write_dense
+
+    grid = dense_depth(depth, fill=not given.unfilled)
+    distance = None
+    if given.metres and optics is not None:
+        distance = dense_distance(grid, optics)
+    write_dense(path, grid, distance)
+
+
+def _write_colours(path: Path, name: str, depth: DepthMap, found: Entries) -> str:
+    """Write depth or its errors in colours; returns a sentence about the scale."""
+    from ..data.depth_order import depth_limits, describe_scale, name_ends
+    from ..output.depth_picture import ERROR_SCALE, add_legend, depth_picture, uncertainty_picture
+    from ..output.picture import write_picture
+
+    if name == "picture":
+        limits = depth_limits(depth)
+        found["colours"] = limits
+        shown = add_legend(depth_picture(depth), name_ends(limits))
+        write_picture(path, shown, settings={"far_near": limits})
+        return f"{path}: {describe_scale(limits)}."
+    shown, errors = uncertainty_picture(depth)
+    sure, unsure = (f"{error:.2g} px" for error in errors)
+    shown = add_legend(shown, (sure, unsure), ERROR_SCALE)
+    write_picture(path, shown, settings={"standard_error": errors})
+    return (
+        f"{path}: standard error of the patch size from {sure} (dark) to {unsure} (light), "
+        "logarithmic; grey: no depth."
+    )
 
 
 def _choose_optics(given: Any, calibration: Calibration) -> Optics | None:

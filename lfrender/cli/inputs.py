@@ -16,6 +16,7 @@ from lfcal.runtime.command_line import Report, name_file_in_errors
 from lfcal.runtime.image_formats import RAW_SUFFIX, TIFF_SUFFIXES, VIDEO_FORMATS, Mosaic
 
 from ..runtime.choices import Preset
+from ..runtime.types import Entries
 from .printed import figures
 
 if TYPE_CHECKING:
@@ -106,7 +107,7 @@ class CaptureInput:
             return self.find_camera(source if known else self.read_pixels())
 
     def analyze_parts(
-        self, source: FlatSource, calibration: Calibration, cluster: dict[str, Any], **options: Any
+        self, source: FlatSource, calibration: Calibration, cluster: Entries, **options: Any
     ) -> DepthMap:
         """The depth of a flat that is read in parts; `options` as for `lfrender.analyze_large`."""
         from .. import analyze_large
@@ -121,20 +122,33 @@ class CaptureInput:
 
         return open_frames(inputs, **self.raw_layout(inputs), dark=self.dark, **chosen)
 
-    def sentences(
+    def describe(
         self,
         calibration: Calibration,
         depth: DepthMap | None = None,
         optics: Optics | None = None,
-    ) -> list[str]:
-        """Sentences about the lenses: number, source of the camera, modes, distances."""
+    ) -> tuple[Entries, list[str]]:
+        """Figures and sentences about the lenses: number, source of the camera, modes, distances."""
         how = f"with {self.camera}"
         if self.camera is None:
-            found = self.white or "the flat itself"
-            how = f"found on {found} (confidence {calibration.confidence_text})"
-        return figures.capture_sentences(how, calibration, depth, optics)
+            source = self.white or "the flat itself"
+            how = f"found on {source} (confidence {calibration.confidence_text})"
+        found = figures.capture_figures(calibration, depth, optics)
+        return found, figures.capture_sentences(how, found)
 
-    def raw_layout(self, inputs: Iterable[Path]) -> dict[str, Any]:
+    def conclude(
+        self,
+        found: Entries,
+        calibration: Calibration,
+        depth: DepthMap | None,
+        *closing: str,
+        optics: Optics | None = None,
+    ) -> None:
+        """Print what a command has found, after what `describe` tells; `closing` are sentences."""
+        known, sentences = self.describe(calibration, depth, optics)
+        self.report.finish(known | found, *sentences, *closing)
+
+    def raw_layout(self, inputs: Iterable[Path]) -> Entries:
         """How raw video among the `inputs` is read, as options of `lfcal.read_flat`."""
         size = self.size
         if (
@@ -321,7 +335,7 @@ class CaptureInput:
     def finish(self, given: Any, output: Path) -> Finish:
         """What is done to the pictures of a command before they are written.
 
-        The values `given` are `eight_bits`, `exposure`, `tone` and `white_balance`.
+        The values `given` are `eight_bits`, `exposure`, `tone`, `white_balance` and `quality`.
         """
         from ..output.finish import Finish
         from ..output.formats import read_metadata
@@ -329,28 +343,27 @@ class CaptureInput:
 
         return Finish(
             output,
-            exposure=given.exposure,
-            tone=given.tone,
-            white_balance=given.white_balance,
-            eight_bits=given.eight_bits,
-            encoded=encoded_by(read_metadata(self.flat)),
+            given.exposure,
+            given.tone,
+            given.white_balance,
+            given.eight_bits,
+            given.quality,
+            encoded_by(read_metadata(self.flat)),
         )
 
     def write(
-        self, given: Any, pictures: list[Rendering], settings: list[dict[str, Any]], **options: Any
+        self, given: Any, pictures: list[Rendering], settings: list[Entries], **options: Any
     ) -> tuple[list[Path], list[str]]:
         """Write a picture, a stack or an animation; return the files and sentences about them.
 
-        The values `given` are `output` and those of `finish`.
-
-        Animations go there and back again.
+        The values `given` are `output` and those of `finish`. Animations go there and back again.
         """
         from ..output.formats import read_metadata
         from ..output.picture import write_finished, write_stack
 
         output = given.output
         embedded = read_metadata(self.flat)
-        finish = self.finish(given, output)
+        finish = self.finish(given, output).measured(pictures[0])
         written = [output]
         with self.report.stage("write"):
             if output.suffix.lower() in MOVING:
@@ -358,12 +371,12 @@ class CaptureInput:
 
                 write_moving(output, [*pictures, *pictures[-2:0:-1]], finish)
             elif len(pictures) > 1:
-                options = {"embedded": embedded, "finish": finish}
-                written = write_stack(output, pictures, settings=settings, **options)
+                stored: Entries = {"settings": settings, "embedded": embedded}
+                written = write_stack(output, pictures, finish=finish, **stored)
             else:
                 options |= {"settings": settings[0], "embedded": embedded}
                 write_finished(output, pictures[0], finish, **options)
-        return written, finish.sentences
+        return written, finish.sentences(pictures[0])
 
 
 def is_large(flat: Path) -> bool:

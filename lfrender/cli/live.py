@@ -15,7 +15,7 @@ from lfcal.runtime.command_line.interrupts import end_by_interrupt
 from lfcal.runtime.output_file import make_folder
 
 from .inputs import CaptureInput
-from .options import at_most_one, declare
+from .options import declare, refuse_together
 from .printed.results import PageResult
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ def live(report: cl.Report, given: Any) -> None:
     from ..live.session import Session
     from ..live.sources import open_source
 
-    at_most_one("--camera", given.camera, "--white", given.white)
+    refuse_together(vars(given), "camera white")
     source = given.source
     files = {name: getattr(given, name) for name in ("camera", "white", "dark", "mosaic")}
     capture = CaptureInput(report, Path(source), **files)

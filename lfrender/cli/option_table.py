@@ -183,6 +183,12 @@ TABLE = {
         "image, or else by grey world]",
         default="auto",
     ),
+    "quality": _row(
+        "--quality",
+        click.IntRange(1, 100),
+        "Of JPEG and WebP: more has less error and larger files. [default: 95]",
+        "1..100",
+    ),
     "alpha": _row("--alpha", bool, "Make pixels that no lens has seen transparent (not in JPEG)."),
     "compress": _row("--compress", bool, "Write a TIFF in deflated tiles: smaller and slower."),
     "tile": _row(

@@ -6,7 +6,7 @@ command, or are refused with the reason.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import wraps
 from typing import Any
@@ -21,11 +21,11 @@ from .inputs import CaptureInput
 from .option_table import TABLE
 
 __all__ = [
-    "at_most_one",
     "capture_command",
     "connect_cluster",
     "declare",
     "option_errors",
+    "refuse_together",
 ]
 
 #: Options of all commands on captures, by their titles in the help.
@@ -37,6 +37,8 @@ _CAPTURE = {
 # Arguments of functions whose options have their names.
 _ARGUMENTS = ("aperture", "depth_range", "frames", "na", "patch_size", "roi", "scale", "start")
 _FIELDS = [name for names in _CAPTURE.values() for name in names]
+# Options of which at most one may be given, wherever a command has several of them.
+_EXCLUSIVE = ("camera white", "workers scheduler", "scale resize")
 
 
 def declare(name: str, inputs: str = "FLAT", hidden: bool = False) -> Callable[[Any], Any]:
@@ -52,6 +54,7 @@ def capture_command(
     output: tuple[str, ...] = (),
     own: Mapping[str, str] | None = None,
     refused: Mapping[str, str] | None = None,
+    exclusive: Iterable[str] = (),
     inputs: str = "FLAT",
     several: str = "",
 ) -> Callable[[Any], click.Command]:
@@ -59,7 +62,8 @@ def capture_command(
 
     Its own options are `output`, as for `command_line.output_option`, and those of `own`: titles in
     the help, with names of options in the table. `refused` are options of captures that the command
-    does not take, with the reason. A command that takes `several` inputs is called with all of
+    does not take, with the reason; of the options in each text of `exclusive` at most one may be
+    given. A command that takes `several` inputs is called with all of
     them, and its camera is calibrated from the first of the `inputs`. The help shows `examples`;
     `result` is what `--json` prints.
     """
@@ -69,14 +73,11 @@ def capture_command(
         @wraps(function)
         def run(report: cl.Report, given: Any) -> Any:
             values = vars(given)
+            refuse_together(values, *_EXCLUSIVE, *exclusive)
             fields = {name: values.pop(name) for name in _FIELDS}
             for name, reason in reasons.items():
                 if fields[name] is not None:
-                    option = next(
-                        word for word in TABLE[name][0][0].split() if word.startswith("--")
-                    )
-                    raise click.UsageError(f"{option} makes no sense here: {reason}")
-            at_most_one("--camera", fields["camera"], "--white", fields["white"])
+                    raise click.UsageError(f"{_long_name(name)} makes no sense here: {reason}")
             if values.get("workers") or values.get("scheduler"):
                 from ..sequence.workers import check_cluster
 
@@ -110,7 +111,6 @@ def capture_command(
 @contextmanager
 def connect_cluster(given: Any, report: cl.Report) -> Iterator[dict[str, Any]]:
     """The arguments for work on the processes or the scheduler that `given` names."""
-    at_most_one("--workers", given.workers, "--scheduler", given.scheduler)
     if not (given.workers or given.scheduler):
         yield {}
         return
@@ -122,12 +122,18 @@ def connect_cluster(given: Any, report: cl.Report) -> Iterator[dict[str, Any]]:
         yield {"client": client, "threads": 1 if given.workers else None}
 
 
-def at_most_one(*pairs: Any) -> None:
-    """Raise an error if several options are given; names and values are passed in turn."""
-    values = zip(pairs[::2], pairs[1::2], strict=True)
-    given = [name for name, value in values if value is not None and value is not False]
-    if len(given) > 1:
-        raise click.UsageError(f"{given[0]} and {given[1]} exclude each other")
+def _long_name(name: str) -> str:
+    """The option of a value, as it is written."""
+    return next(word for word in TABLE[name][0][0].split() if word.startswith("--"))
+
+
+def refuse_together(values: Mapping[str, Any], *groups: str) -> None:
+    """Raise an error if several options of a group are given, whose names are in one text."""
+    for group in groups:
+        given = [name for name in group.split() if values.get(name) not in (None, False, ())]
+        if len(given) > 1:
+            one, other = map(_long_name, given[:2])
+            raise click.UsageError(f"{one} and {other} exclude each other")
 
 
 @contextmanager

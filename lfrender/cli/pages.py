@@ -66,8 +66,9 @@ def view(capture: CaptureInput, given: Any) -> None:
     else:
         capture = replace(capture, flat=flats[0])
         loaded = capture.load()
-        load, sentences = (lambda _: loaded), capture.sentences(*loaded[1:])
-        found = {"warnings": figures.capture_figures(*loaded[1:])["warnings"]}
+        known, sentences = capture.describe(*loaded[1:])
+        load = [loaded].__getitem__
+        found = {"warnings": known["warnings"]}
     one_folder = len({flat.parent for flat in flats}) == 1
     pages = FlatPages([flat.name if one_folder else str(flat) for flat in flats], load)
     if export is not None:
@@ -148,9 +149,8 @@ def report(capture: CaptureInput, given: Any) -> None:
         write_report(
             output, pixels, calibration, depth, pictures, title=capture.flat.name, seconds=seconds
         )
-    sentences = capture.sentences(calibration, depth)
-    found = {"report": str(output), **figures.capture_figures(calibration, depth)}
-    progress.finish(found, *sentences, f"{output} in {progress.took}: open it in a browser.")
+    closing = f"{output} in {progress.took}: open it in a browser."
+    capture.conclude({"report": output}, calibration, depth, closing)
 
 
 @cl.command("lfrender demo -o demo")

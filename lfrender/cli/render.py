@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from ..runtime.types import Entries
 from .inputs import CaptureInput, is_large
-from .options import at_most_one, capture_command, connect_cluster, option_errors
+from .options import capture_command, connect_cluster, option_errors
 from .printed import figures
 from .printed.results import RenderResult
 
@@ -31,9 +32,21 @@ __all__ = ["render"]
     output=("PICTURE", "Picture to write: .tif, .png, .jpg, ...", ".png"),
     own={
         "What to draw": "patch_size blend traditional scale resize edges detail",
-        "How to write it": "eight_bits exposure tone white_balance alpha compress tile",
+        "How to write it": "eight_bits exposure tone white_balance quality alpha compress tile",
         "Several processes": "workers scheduler",
     },
+    exclusive=(
+        "depth_file patch_size traditional",
+        "scale traditional",
+        "resize traditional",
+        "resize roi",
+        "detail patch_size traditional",
+        "roi traditional tile",
+        "workers roi traditional",
+        "scheduler roi traditional",
+        "edges depth_file patch_size traditional",
+        "edges roi",
+    ),
 )
 def render(capture: CaptureInput, given: Any) -> None:
     """Draw FLAT as one picture that is sharp at every depth.
@@ -54,7 +67,8 @@ def render(capture: CaptureInput, given: Any) -> None:
     stored = {"alpha": given.alpha, "compress": given.compress}
     if in_tiles:
         with connect_cluster(given, capture.report) as cluster:
-            _render_in_tiles(capture, given, cluster, **stored, **drawing)
+            options = {**stored, **drawing, "quality": given.quality, "tile": given.tile}
+            _render_in_tiles(capture, given, cluster, **options)
         return
     from ..output.formats import check_format
 
@@ -62,34 +76,28 @@ def render(capture: CaptureInput, given: Any) -> None:
     patch_size = given.patch_size
     traditional = given.traditional
     pixels = capture.read()
-    check_format(output, "picture", dtype=pixels.dtype, alpha=given.alpha)
+    check_format(output, "picture", dtype=pixels.dtype)
     pixels, calibration = capture.calibrate(pixels)
-    whole = traditional or patch_size is not None
-    depth = None if whole else _find_depth(capture, pixels, calibration, given.edges)
+    depth = None
+    if not traditional and patch_size is None:
+        depth = _find_depth(capture, pixels, calibration, given.edges)
     with capture.report.stage("render"), option_errors():
         from .. import render as run
         from .. import traditional as run_traditional
         from ..output.views import resize_view, scale_for_size
         from ..rendering.traditional import TOO_LITTLE, find_depth_problem
 
-        if given.resize:
-            drawing["scale"] = scale_for_size(calibration, given.resize)
-        if (
-            depth is not None
-            and not (drawing["scale"] or capture.roi)
-            and find_depth_problem(depth)
-        ):
+        drawing["scale"] = scale_for_size(calibration, given.resize, given.scale)
+        chosen = drawing["scale"] or capture.roi
+        if depth is not None and not chosen and find_depth_problem(depth):
             traditional = True
             capture.report.warn(TOO_LITTLE.format("--scale"))
         if traditional:
             picture = run_traditional(pixels, calibration)
         else:
             picture = run(pixels, calibration, depth, roi=capture.roi, **drawing)
-        if given.resize:
-            picture = resize_view(picture, given.resize)
-    drawn = depth
-    if traditional:
-        drawn = None
+        picture = resize_view(picture, given.resize)
+    drawn = None if traditional else depth
     settings = figures.rendering_settings(drawn, patch_size, given.detail)
     _, stated = capture.write(given, [picture], [settings], **stored)
     what = "sharp at every depth"
@@ -99,21 +107,12 @@ def render(capture: CaptureInput, given: Any) -> None:
         what = f"of one patch size, {patch_size:g} px"
     if given.blend:
         what += ", mixed from all lenses"
-    capture.report.finish(
-        {
-            "picture": str(output),
-            **figures.picture_figures(picture),
-            **figures.capture_figures(calibration, depth),
-        },
-        *capture.sentences(calibration, drawn),
-        figures.picture_sentence(output, picture, what, capture.report.took),
-        *stated,
-    )
+    found = {"picture": output, **figures.picture_figures(picture)}
+    closing = figures.picture_sentence(output, picture, what, capture.report.took)
+    capture.conclude(found, calibration, depth, closing, *stated)
 
 
-def _render_in_tiles(
-    capture: CaptureInput, given: Any, cluster: dict[str, Any], **options: Any
-) -> None:
+def _render_in_tiles(capture: CaptureInput, given: Any, cluster: Entries, **options: Any) -> None:
     """Calibrate, analyse and render in tiles; what is finished is kept until the end."""
     from lfcal.runtime.output_file import claim
 
@@ -124,7 +123,7 @@ def _render_in_tiles(
     output = given.output
     depth = None
     with capture.open_parts() as source:
-        check_large_picture(output, source.dtype, given.alpha)
+        check_large_picture(output, source.dtype, alpha=given.alpha, quality=given.quality)
         # From the analysis on: its result is kept beside the output too.
         with claim(output):
             calibration = capture.calibrate_parts(source)
@@ -132,7 +131,7 @@ def _render_in_tiles(
                 with report.stage("analyze"):
                     depth = _find_depth_in_tiles(capture, source, calibration, output, cluster)
             about = figures.rendering_settings(depth, given.patch_size, given.detail)
-            chosen = LargeOptions(settings=about, tile=given.tile, **options)
+            chosen = LargeOptions(settings=about, **options)
             with report.stage("render"), report.progress("tiles") as step, option_errors():
                 made = render_large(
                     source, output, calibration, depth, chosen, progress=step, **cluster
@@ -142,12 +141,9 @@ def _render_in_tiles(
     if made.kept:
         tiles += f", {made.kept} of them kept from an earlier run"
     found = {name: getattr(made, name) for name in ("size", "scale", "valid", "affine", "tiles")}
-    found |= {"picture": str(output), "tiles_kept": made.kept}
-    report.finish(
-        found | figures.capture_figures(calibration, depth),
-        *capture.sentences(calibration, depth),
-        f"{output}: {width} x {height} px in {tiles}, in {report.took}.",
-    )
+    found |= {"picture": output, "tiles_kept": made.kept}
+    closing = f"{output}: {width} x {height} px in {tiles}, in {report.took}."
+    capture.conclude(found, calibration, depth, closing)
 
 
 def _find_depth_in_tiles(
@@ -155,7 +151,7 @@ def _find_depth_in_tiles(
     source: FlatSource,
     calibration: Calibration,
     output: Path,
-    cluster: dict[str, Any],
+    cluster: Entries,
 ) -> DepthMap:
     """The depth of the file, or of the flat; kept beside the output until that is complete."""
     from ..data.depth_map import DepthMap
@@ -177,32 +173,20 @@ def _find_depth_in_tiles(
 
 
 def _check(capture: CaptureInput, given: Any) -> bool:
-    """Refuse options that exclude each other; whether the picture is drawn in tiles."""
+    """Refuse options that make no sense together; whether the picture is drawn in tiles."""
     from ..large.render import check_large_picture
     from ..output.formats import check_format, is_ome_name
 
-    roi = capture.roi
-    patch_size = given.patch_size
-    depth_file = capture.depth_file
-    mean = ("--traditional", given.traditional)
-    on_cluster = given.workers or given.scheduler
-    at_most_one("--depth", depth_file, "--patch-size", patch_size, *mean)
-    at_most_one("--scale", given.scale, "--resize", given.resize, *mean)
-    at_most_one("--resize", given.resize, "--roi", roi)
-    at_most_one("--detail", given.detail, "--patch-size", patch_size, *mean)
-    at_most_one("--roi", roi, *mean, "--tile", given.tile)
-    at_most_one("--workers or --scheduler", on_cluster, "--roi", roi, *mean)
-    for other in (("--depth", depth_file), ("--patch-size", patch_size), ("--roi", roi), mean):
-        at_most_one("--edges", given.edges or None, *other)
-    if given.blend and patch_size is None:
+    if given.blend and given.patch_size is None:
         raise click.UsageError("--blend needs --patch-size")
+    needed = {"alpha": given.alpha, "quality": given.quality}
     # A plain Zarr array is written in tiles however small it is, OME-Zarr is not.
     plain = given.output.suffix.lower() == ".zarr" and not is_ome_name(given.output)
-    whole = given.traditional or roi
-    in_tiles = not whole and (
-        on_cluster or given.tile is not None or plain or is_large(capture.flat)
-    )
-    if in_tiles and given.edges:
+    wanted = given.workers or given.scheduler or given.tile or plain
+    if given.traditional or capture.roi or not (wanted or is_large(capture.flat)):
+        check_format(given.output, "picture", **needed)
+        return False
+    if given.edges:
         raise click.UsageError(
             "--edges is for flats that are analysed as a whole: leave it out here"
         )
@@ -214,15 +198,12 @@ def _check(capture: CaptureInput, given: Any) -> bool:
         "--resize": given.resize,
     }
     for option, value in changes.items():
-        if in_tiles and value:
+        if value:
             raise click.UsageError(
                 f"{option} is for flats that are drawn as a whole: write the pixels as they are"
             )
-    if in_tiles:
-        check_large_picture(given.output, None, given.alpha)
-    else:
-        check_format(given.output, "picture", alpha=given.alpha)
-    return bool(in_tiles)
+    check_large_picture(given.output, None, **needed)
+    return True
 
 
 def _find_depth(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from contextlib import suppress
-from dataclasses import replace
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +13,7 @@ from lfcal import CameraFileError, FlatError
 from lfcal.runtime import command_line as cl
 from lfcal.runtime.output_file import check_folder
 
+from ..runtime.types import Entries
 from .inputs import CaptureInput
 from .options import capture_command, connect_cluster, option_errors
 from .printed.figures import percent
@@ -48,8 +48,8 @@ __all__ = ["batch"]
     own={
         "Files": "depth_maps overwrite",
         "Which frames": "frames start end",
-        "What to draw": "scale frame_format eight_bits exposure tone white_balance fps "
-        "frame_views frame_aperture resize",
+        "What to draw": "scale resize frame_views frame_aperture",
+        "How to write it": "frame_format eight_bits exposure tone white_balance quality fps",
         "Several processes": "workers scheduler",
     },
     refused={
@@ -77,9 +77,9 @@ def batch(capture: CaptureInput, given: Any) -> int:
     options = _frame_options(capture, given, output in films)
     if given.fps is not None and not films:
         raise click.UsageError("--fps is for films: give -o FILM.mp4 or FILM.mkv")
-    for path in films:
-        check_format(path, "film")
-    if maps is not None and maps not in films:
+    if maps in films:
+        check_format(maps, "film")
+    elif maps is not None:
         check_folder(maps)
     chosen = {name: getattr(given, name) for name in ("frames", "start", "end")}
     with option_errors():
@@ -96,14 +96,14 @@ def batch(capture: CaptureInput, given: Any) -> int:
 
         with suppress(CameraFileError):
             calibration = load_camera(output)
-    found = {"film" if output in films else "pictures": str(output), **found}
+    found = {"film" if output in films else "pictures": output, **found}
     failures = [result.message for result in results if result.outcome == "failed"]
     found["warnings"] = list(calibration.warnings) if calibration else []
     if report.as_json:
         found["warnings"] += failures
     sentences = [sentence, f"{output} is written."]
     if maps is not None:
-        found |= {"depth_maps": str(maps), "colours": plan.colours}
+        found |= {"depth_maps": maps, "colours": plan.colours}
         content = "the depth maps"
         if maps in films:
             from ..data.depth_order import describe_scale
@@ -185,7 +185,7 @@ def _describe(plan: Plan, given: Any, rate: Any) -> str:
     return f"{line}."
 
 
-def _sum_up(results: list[FrameResult], seconds: float) -> tuple[dict[str, Any], str]:
+def _sum_up(results: list[FrameResult], seconds: float) -> tuple[Entries, str]:
     """Figures of a run, and a sentence."""
     count: Counter[str] = Counter(result.outcome for result in results)
     rendered = count["rendered"]
@@ -207,44 +207,44 @@ def _sum_up(results: list[FrameResult], seconds: float) -> tuple[dict[str, Any],
 
 def _frame_options(capture: CaptureInput, given: Any, film: bool) -> FrameOptions:
     """The options of `render_frames`, or of `render_film` if the output is a film."""
+    from ..output.formats import check_format
     from ..output.raw_video import check_raw_format
     from ..output.views import check_grid
     from ..sequence.options import FrameOptions
     from ..sequence.view_grid import ViewGrid
 
-    options = FrameOptions(
-        preset=capture.chosen_preset,
-        scale=given.scale,
-        exposure=given.exposure,
-        tone=given.tone,
-        white_balance=given.white_balance,
-        depth_maps=given.depth_maps,
-        rate=given.fps,
-    )
-
-    if given.views is None and (given.aperture is not None or given.resize is not None):
-        raise click.UsageError("--aperture and --resize are for --views")
-    if film:
-        if given.views is not None:
-            raise click.UsageError(f"{given.output} is a film; views go into a folder")
-        if given.suffix is not None or given.eight_bits:
-            raise click.UsageError(f"{given.output} is a film: leave out --format and --8bit")
-        return options
+    output = given.output
     suffix = (given.suffix or "tif").lstrip(".")
-    if suffix.startswith("yuv") and given.eight_bits:
+    raw = suffix.startswith("yuv")
+    if given.views is None and given.aperture is not None:
+        raise click.UsageError("--aperture is for --views")
+    if film and given.views is not None:
+        raise click.UsageError(f"{output} is a film; views go into a folder")
+    if film and (given.suffix is not None or given.eight_bits):
+        raise click.UsageError(f"{output} is a film: leave out --format and --8bit")
+    if raw and given.eight_bits:
         raise click.UsageError("--8bit is for pictures: leave it out, or --format yuv")
-    if suffix.startswith("yuv") and given.views is None:
+    if raw and given.views is None:
         raise click.UsageError("raw video is a film or views: give -o FILM.yuv, or --views")
-    if suffix.startswith("yuv"):
-        check_raw_format(check_folder(given.output), suffix)
+    if film:
+        check_format(output, "film", quality=given.quality)
+    elif raw:
+        check_raw_format(check_folder(output), suffix, given.quality)
     else:
-        check_grid(given.output, f".{suffix}")
-    options = replace(options, eight_bits=given.eight_bits, suffix=f".{suffix}")
-    if given.views is None:
-        return options
-    rows, columns = given.views
-    grid = ViewGrid(rows, columns, given.aperture or ViewGrid.aperture, given.resize)
-    return replace(options, views=grid)
+        check_grid(output, f".{suffix}", quality=given.quality)
+    views = given.views
+    if views is not None:
+        rows, columns = views
+        views = ViewGrid(rows, columns, given.aperture or ViewGrid.aperture)
+    names = "scale eight_bits exposure tone white_balance quality depth_maps"
+    return FrameOptions(
+        preset=capture.chosen_preset,
+        suffix=f".{suffix}",
+        size=given.resize,
+        views=views,
+        rate=given.fps,
+        **{name: getattr(given, name) for name in names.split()},
+    )
 
 
 def _find_camera(frames: Frames, capture: CaptureInput) -> Calibration:

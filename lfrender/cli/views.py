@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,8 +12,9 @@ import click
 from lfcal.runtime import command_line as cl
 from lfcal.runtime.output_file import check_folder, check_output
 
+from ..runtime.types import Entries, Place
 from .inputs import MOVING, CaptureInput
-from .options import at_most_one, capture_command, declare, option_errors
+from .options import capture_command, declare, option_errors
 from .printed import figures
 from .printed.results import LensletResult, RefocusResult, ViewsResult
 
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
 
     from ..data.depth_map import DepthMap
     from ..data.rendering import Rendering
-    from ..output.finish import Finish
 
 __all__ = ["lenslet", "refocus", "views"]
 
@@ -46,8 +46,9 @@ _GRID = (5, 5)
     ),
     own={
         "What to draw": "at patch_sizes stack focus_aperture scale resize",
-        "How to write it": "eight_bits exposure tone white_balance",
+        "How to write it": "eight_bits exposure tone white_balance quality",
     },
+    exclusive=("patch_sizes at stack", "resize roi"),
 )
 def refocus(capture: CaptureInput, given: Any) -> None:
     """Draw FLAT in focus at one depth, out of focus before and behind.
@@ -62,8 +63,6 @@ def refocus(capture: CaptureInput, given: Any) -> None:
     at = given.at
     sizes = list(given.patch_sizes)
     stack = given.stack
-    at_most_one("--patch-size", sizes or None, "--at", at, "--stack", stack)
-    at_most_one("--resize", given.resize, "--scale", given.scale, "--roi", capture.roi)
     moving = output.suffix.lower() in MOVING
     if moving and (at or len(sizes) == 1):
         raise click.UsageError(
@@ -73,7 +72,7 @@ def refocus(capture: CaptureInput, given: Any) -> None:
         raise click.UsageError("give one of --patch-size, --at and --stack: the depth in focus")
     stack = stack if sizes or at or stack else _PICTURES
     uses = ("animation", "film") if moving else ("picture",)
-    check_format(output, *uses)
+    check_format(output, *uses, quality=given.quality)
     pixels = capture.read()
     check_format(output, *uses, dtype=pixels.dtype)
     pixels, calibration = capture.calibrate(pixels)
@@ -84,48 +83,43 @@ def refocus(capture: CaptureInput, given: Any) -> None:
     with report.stage("render"), option_errors():
         from .. import focal_stack
         from .. import refocus as run
-        from ..output.views import resize_view, scale_for_size
+        from ..output.views import scale_for_size
         from ..rendering.refocus import stack_depths
 
-        drawing = {"aperture": given.aperture, "scale": given.scale, "depth": depth}
-        if given.resize:
-            drawing["scale"] = scale_for_size(calibration, given.resize)
+        scale = scale_for_size(calibration, given.resize, given.scale)
+        drawing = {"aperture": given.aperture, "scale": scale, "depth": depth}
         if depth is not None and stack:
             sizes = stack_depths(depth, stack)
         if len(sizes) > 1:
             pictures = focal_stack(pixels, calibration, sizes, **drawing)
         else:
             pictures = [run(pixels, calibration, *sizes, position=at, **drawing)]
-        pictures = [_cut(picture, capture, calibration) for picture in pictures]
-        if given.resize:
-            pictures = [resize_view(picture, given.resize) for picture in pictures]
+        pictures = [_fit(picture, capture, given, calibration) for picture in pictures]
     settings = [
         {"rendering": "refocused", "patch_size": size, "at": at} for size in (sizes or (None,))
     ]
     paths, stated = capture.write(given, pictures, settings)
+    found: Entries = {"picture": output}
+    named = str(output)
     what = "in focus at one depth"
     if len(pictures) > 1:
         what = f"{len(pictures)} depths"
-    found: dict[str, Any] = {"picture": str(output)}
-    named = str(output)
     if len(paths) > 1:
-        found = {"pictures": list(map(str, paths))}
+        found = {"pictures": paths}
         named = f"{paths[0]} to {paths[-1].name}"
     found |= {"patch_sizes": sizes, **figures.picture_figures(pictures[0])}
-    report.finish(
-        found | figures.capture_figures(calibration, depth),
-        *capture.sentences(calibration),
-        figures.picture_sentence(named, pictures[0], what, report.took),
-        *stated,
-    )
+    closing = figures.picture_sentence(named, pictures[0], what, report.took)
+    capture.conclude(found, calibration, depth, closing, *stated)
 
 
-def _cut(picture: Rendering, capture: CaptureInput, calibration: Calibration) -> Rendering:
-    """The part of a picture that --roi asks for."""
-    from ..output.views import crop_view
+def _fit(
+    picture: Rendering, capture: CaptureInput, given: Any, calibration: Calibration
+) -> Rendering:
+    """The part of a picture that --roi asks for, or all of it in the size of --resize."""
+    from ..output.views import crop_view, resize_view
 
     if capture.roi is None:
-        return picture
+        return resize_view(picture, given.resize)
     return crop_view(picture, capture.roi, calibration.lattice)
 
 
@@ -140,24 +134,21 @@ def _cut(picture: Rendering, capture: CaptureInput, calibration: Calibration) ->
         "What to draw: a grid of views in "
         "a folder, or one file": "grid stereo animation quilt poses optics",
         "How to draw it": "view_aperture scale resize",
-        "How to write it": "grid_format eight_bits exposure tone white_balance",
+        "How to write it": "grid_format eight_bits exposure tone white_balance quality",
     },
+    exclusive=(
+        "grid stereo animation quilt",
+        "poses stereo animation quilt",
+        "resize poses",
+        "roi poses",
+        "exposure poses",
+    ),
 )
 def views(capture: CaptureInput, given: Any) -> None:
     """Draw FLAT as seen from other places in the main lens: parallax.
 
     Every view is sharp at every depth.
     """
-    others = "--stereo", given.stereo, "--animation", given.animation, "--quilt", given.quilt
-    for option, value in (("--grid", given.grid), ("--poses", given.poses)):
-        at_most_one(option, value, *others)
-    at_most_one("--resize", given.resize, "--scale", given.scale)
-    for option, value in (
-        ("--resize", given.resize),
-        ("--roi", capture.roi),
-        ("--exposure", given.exposure),
-    ):
-        at_most_one(option, value, "--poses", given.poses)
     report = capture.report
     output = given.output
     still = given.grid or given.stereo or given.quilt or given.poses
@@ -165,43 +156,39 @@ def views(capture: CaptureInput, given: Any) -> None:
     if given.animation is None and moves and not still:
         given.animation = _PICTURES
     given.suffix = f".{given.suffix.lstrip('.').lower()}"
+    given.grid = given.grid or _GRID
     _check_views(given)
     pixels = capture.read()
     _check_views(given, pixels.dtype)
     pixels, calibration = capture.calibrate(pixels)
     depth = capture.analyze(pixels, calibration)
+    captured = (pixels, calibration, depth)
     offsets = _offsets(given, given.aperture * calibration.lattice.radius)
-    found: dict[str, Any] = {"views": str(output), "offsets": offsets}
-    given.settings = {"rendering": "views", "aperture": given.aperture, "preset": depth.preset}
-    one_file = given.animation or given.stereo or given.quilt
-    finish = capture.finish(given, output if one_file else Path(f"view{given.suffix}"))
+    found: Entries = {"views": output, "offsets": offsets}
     stated: list[str] = []
     with report.stage("render and write"), report.progress("views") as step, option_errors():
+
+        def counted(drawn: Iterable[Any]) -> Iterator[Any]:
+            """The views as they are drawn, with a step of the progress for each."""
+            for number, view in enumerate(drawn, 1):
+                step(number, len(offsets))
+                yield view
+
         if given.poses:
-            found |= _write_posed(
-                given, pixels, calibration, depth, offsets, partial(_counted, step)
-            )
+            found |= _write_posed(given, captured, offsets, counted)
         else:
-            drawn = _draw_views(capture, given, pixels, calibration, depth, offsets=offsets)
-            pictures = _counted(step, drawn, len(offsets))
-            stated = _write_views(capture, given, finish, pictures)
-    stated += finish.sentences
-    report.finish(
-        {**found, **figures.capture_figures(calibration, depth)},
-        *capture.sentences(calibration, depth),
-        f"{output}: {len(offsets)} views, in {report.took}.",
-        *stated,
-    )
+            from .. import views as run
+            from ..output.views import scale_for_size
+
+            scale = scale_for_size(calibration, given.resize, given.scale)
+            drawn = run(*captured, offsets=offsets, scale=scale)
+            pictures = (_fit(picture, capture, given, calibration) for picture in drawn)
+            stated = _write_views(capture, given, counted(pictures), depth.preset)
+    closing = f"{output}: {len(offsets)} views, in {report.took}."
+    capture.conclude(found, calibration, depth, closing, *stated)
 
 
-def _counted(step: Callable[[int, int], None], views: Iterable[Any], count: int) -> Iterator[Any]:
-    """The views as they are drawn, with a step of the progress for each."""
-    for number, view in enumerate(views, 1):
-        step(number, count)
-        yield view
-
-
-def _offsets(given: Any, radius: float) -> list[tuple[float, float]]:
+def _offsets(given: Any, radius: float) -> list[Place]:
     """The viewpoints [px]."""
     from ..rendering.viewpoints import circle_offsets, grid_offsets
 
@@ -211,7 +198,7 @@ def _offsets(given: Any, radius: float) -> list[tuple[float, float]]:
         return [(-radius, 0.0), (radius, 0.0)]
     if given.quilt:
         return grid_offsets(1, given.quilt[0] * given.quilt[1], radius)
-    rows, columns = given.grid or _GRID
+    rows, columns = given.grid
     return grid_offsets(rows, columns, radius)
 
 
@@ -223,47 +210,27 @@ def _check_views(given: Any, dtype: Any = None) -> None:
     from ..output.views import check_grid
 
     output = given.output
+    needed = {"dtype": dtype, "quality": given.quality}
     if given.animation:
-        check_format(output, "animation", "film", dtype=dtype)
+        check_format(output, "animation", "film", **needed)
     elif given.stereo or given.quilt:
-        check_format(output, "picture", dtype=dtype)
+        check_format(output, "picture", **needed)
     elif output.suffix.lower() in FORMATS and not output.is_dir():
         raise click.UsageError(
             f"{output} is one file: say what it shows with --stereo, --animation N or --quilt "
             "8x6, or give a folder"
         )
+    elif given.poses:
+        check_grid(output, ".png", quality=given.quality)
+        check_posed_folder(output, given.poses, given.grid[0] * given.grid[1])
     elif given.suffix.startswith(".yuv"):
-        check_raw_format(check_folder(output), given.suffix[1:])
+        check_raw_format(check_folder(output), given.suffix[1:], given.quality)
     else:
-        rows, columns = given.grid or _GRID
-        if given.poses:
-            check_grid(output, ".png")
-            check_posed_folder(output, given.poses, rows * columns)
-        else:
-            check_grid(output, given.suffix, dtype, (rows, columns))
-
-
-def _draw_views(
-    capture: CaptureInput,
-    given: Any,
-    *flat_camera_depth: Any,
-    offsets: list[Any],
-) -> Iterator[Rendering]:
-    from .. import views as run
-    from ..output.views import resize_view, scale_for_size
-
-    camera = flat_camera_depth[1]
-    scale = given.scale
-    if given.resize:
-        scale = scale_for_size(camera, given.resize)
-    for picture in run(*flat_camera_depth, offsets=offsets, scale=scale):
-        if given.resize:
-            picture = resize_view(picture, given.resize)
-        yield _cut(picture, capture, camera)
+        check_grid(output, given.suffix, given.grid, **needed)
 
 
 def _write_views(
-    capture: CaptureInput, given: Any, finish: Finish, pictures: Iterator[Rendering]
+    capture: CaptureInput, given: Any, pictures: Iterator[Rendering], preset: str
 ) -> list[str]:
     """Write the views; return sentences about them."""
     from ..output.formats import read_metadata
@@ -273,51 +240,49 @@ def _write_views(
     from ..sequence.film_file import write_moving
 
     output = given.output
-    options: dict[str, Any] = {"settings": given.settings, "embedded": read_metadata(capture.flat)}
+    settings = {"rendering": "views", "aperture": given.aperture, "preset": preset}
+    options: Entries = {"settings": settings, "embedded": read_metadata(capture.flat)}
+    one_file = given.animation or given.stereo or given.quilt
+    first = next(pictures)
+    finish = capture.finish(given, output if one_file else Path(f"view{given.suffix}"))
+    finish = finish.measured(first)
+    pictures = chain([first], pictures)
+    stated = finish.sentences(first)
     if given.animation:
         write_moving(output, pictures, finish)
     elif given.quilt:
         columns, rows = given.quilt
         ending = write_quilt(output, pictures, columns, rows, finish, **options)
         if not output.stem.endswith(ending):
-            return [
-                "Players take the grid from the name: call it "
-                f"{output.stem}{ending}{output.suffix} for them."
-            ]
+            named = f"{output.stem}{ending}{output.suffix}"
+            stated.insert(0, f"Players take the grid from the name: call it {named} for them.")
     elif given.stereo:
         write_finished(output, stereo_pair(*pictures), finish, **options)
     elif given.suffix.startswith(".yuv"):
         write_view_videos(output, pictures, given.suffix[1:], finish)
     else:
-        columns = (given.grid or _GRID)[1]
-        write_grid(output, pictures, columns, given.suffix, finish=finish, **options)
-    return []
+        write_grid(output, pictures, given.grid[1], given.suffix, finish=finish, **options)
+    return stated
 
 
 def _write_posed(
     given: Any,
-    pixels: NDArray[Any],
-    calibration: Calibration,
-    depth: DepthMap,
-    offsets: list[Any],
-    counted: Any,
-) -> dict[str, Any]:
+    captured: tuple[NDArray[Any], Calibration, DepthMap],
+    offsets: list[Place],
+    counted: Callable[[Iterable[Any]], Iterator[Any]],
+) -> Entries:
     """Write views with their cameras; return figures about these."""
     from lfcal import Optics
 
     from ..output.posed_files import write_posed_views
     from ..rendering.viewpoints import still_depth, views_with_depth
 
-    known = given.optics and Optics.load(given.optics)
-    still = still_depth(depth)
-    drawn = views_with_depth(
-        pixels, calibration, depth, offsets=offsets, scale=given.scale, still=still
-    )
-    pictures = counted(drawn, len(offsets))
-    rig = write_posed_views(
-        given.output, given.poses, pictures, calibration, depth, offsets, still, known
-    )
-    positions = [camera.position.tolist() for camera in rig.cameras]
+    optics = given.optics and Optics.load(given.optics)
+    still = still_depth(captured[2])
+    drawn = views_with_depth(*captured, offsets=offsets, scale=given.scale, still=still)
+    placed = (*captured[1:], offsets, still, optics)
+    rig = write_posed_views(given.output, given.poses, counted(drawn), *placed)
+    positions = [camera.position for camera in rig.cameras]
     return {"unit": rig.unit, "camera_error": rig.error, "positions": positions}
 
 
@@ -338,6 +303,7 @@ def _write_posed(
     "Of the views, if their names do not have row and column.",
 )
 @declare("grid_format")
+@declare("quality")
 @cl.report_options(LensletResult)
 def lenslet(report: cl.Report, given: Any) -> None:
     """Turn a grid of views into the flat of a regular lens array, or the reverse.
@@ -346,31 +312,30 @@ def lenslet(report: cl.Report, given: Any) -> None:
     is a folder of views, or files. With a camera file, INPUT is such a flat, whose views are
     written as they are, pixel by pixel.
     """
+    if given.camera is not None:
+        _write_pixel_views(report, given)
+        return
     from ..output.lenslet import lenslet_image, read_view_grid
     from ..output.picture import write_picture
 
     output = given.output
-    camera_file = given.output.with_suffix(".json")
-    if given.camera is not None:
-        _write_pixel_views(report, given)
-        return
+    camera_file = output.with_suffix(".json")
+    if given.quality is not None:
+        raise click.UsageError("--quality is for views: a flat is written without any loss")
     check_output(output, (".png", ".tif", ".tiff"))
     check_output(camera_file, (".json",))
     with report.stage("read"):
-        flat, camera = lenslet_image(views := read_view_grid(given.inputs, given.grid))
+        views = read_view_grid(given.inputs, given.grid)
+        flat, camera = lenslet_image(views)
     with report.stage("write"):
         write_picture(output, flat)
         camera.save(camera_file)
-    (rows, columns), (width, height) = views.shape[:2], camera.image_size
+    rows, columns = views.shape[:2]
+    width, height = camera.image_size
     if (problem := figures.few_pixels_problem(min(rows, columns))) is not None:
         report.warn(problem)
     report.finish(
-        {
-            "flat": str(output),
-            "camera": str(camera_file),
-            "grid": [rows, columns],
-            "size": [width, height],
-        },
+        {"flat": output, "camera": camera_file, "grid": (rows, columns), "size": (width, height)},
         f"{output}: {width} x {height} px, {columns} x {rows} under each lens, and "
         f"{camera_file}, in {report.took}.",
     )
@@ -383,18 +348,19 @@ def _write_pixel_views(report: cl.Report, given: Any) -> None:
     from ..output.lenslet import lenslet_views
     from ..output.views import check_grid, write_grid
 
+    output = given.output
     suffix = f".{given.suffix.lstrip('.').lower()}"
     if len(given.inputs) > 1 or given.grid:
         raise click.UsageError("with a camera file, one flat is wanted, and its grid is known")
-    check_grid(given.output, suffix)
+    check_grid(output, suffix, quality=given.quality)
     with report.stage("read"):
         flat = read_flat(given.inputs[0])
         views = lenslet_views(flat, load(given.camera, (flat.shape[1], flat.shape[0])))
     rows, columns, height, width = views.shape[:4]
     with report.stage("write"):
-        write_grid(given.output, views.reshape(-1, *views.shape[2:]), columns, suffix)
-    found = {"views": str(given.output), "grid": [rows, columns], "size": [width, height]}
+        pictures = views.reshape(-1, *views.shape[2:])
+        write_grid(output, pictures, columns, suffix, quality=given.quality)
     report.finish(
-        found,
-        f"{given.output}: {rows} x {columns} views of {width} x {height} px, in {report.took}.",
+        {"views": output, "grid": (rows, columns), "size": (width, height)},
+        f"{output}: {rows} x {columns} views of {width} x {height} px, in {report.took}.",
     )

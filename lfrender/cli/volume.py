@@ -11,7 +11,6 @@ from lfcal.runtime.output_file import check_folder, make_folder
 
 from .inputs import CaptureInput
 from .options import capture_command, option_errors
-from .printed import figures
 from .printed.results import VolumeResult
 
 if TYPE_CHECKING:
@@ -102,24 +101,21 @@ def volume(capture: CaptureInput, given: Any) -> None:
     where = written[0]
     if len(written) > 1:
         where = f"{len(written)} volumes in {output}"
-    about: dict[str, Any] = {
+    fit = found.fit
+    about = {
         "volume": written[0],
         "volumes": written,
-        "shape": list(found.data.shape),
-        "spacing": list(found.spacing),
+        "shape": found.data.shape,
+        "spacing": found.spacing,
         "unit": found.unit,
-        "residual": found.fit.residual,
-        "noise": found.fit.noise,
-        "steps": found.fit.steps,
-        "stopped": found.fit.reason,
+        "residual": fit.residual,
+        "noise": fit.noise,
+        "steps": fit.steps,
+        "stopped": fit.reason,
+        "warnings": found.warnings,
     }
-    about |= figures.capture_figures(calibration) | {"warnings": list(found.warnings)}
-    report.finish(
-        about,
-        *capture.sentences(calibration),
-        _describe(found),
-        f"{where}, in {report.took}.",
-    )
+    closing = f"{where}, in {report.took}."
+    capture.conclude(about, calibration, None, _describe(found), closing)
 
 
 def _describe(found: Volume) -> str:

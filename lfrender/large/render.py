@@ -74,7 +74,7 @@ class LargeOptions:
         As in `render`.
     tile : int or None [px]
         Side of the tiles of the picture. None chooses it by the size of the flat.
-    alpha, compress, settings
+    alpha, compress, quality, settings
         As in `write_picture`.
 
     Examples
@@ -91,6 +91,7 @@ class LargeOptions:
     tile: int | None = None
     alpha: bool = False
     compress: bool = False
+    quality: int | None = None
     settings: Mapping[str, Any] | None = None
 
 
@@ -143,7 +144,7 @@ def render_large(
     output = Path(path)
     chosen = replace(options or LargeOptions(), **given)
     reader = TileReader(source, calibration)
-    check_large_picture(output, source.dtype, chosen.alpha)
+    check_large_picture(output, source.dtype, alpha=chosen.alpha, quality=chosen.quality)
     workers = Workers(client, threads)
     least = 1
     if client is not None:
@@ -252,10 +253,10 @@ def _draw_tile(drawing: _Drawing, tile: Part, raw: Array) -> tuple[Array, Boolea
     )
 
 
-def check_large_picture(output: Path, dtype: Any, alpha: bool) -> None:
+def check_large_picture(output: Path, dtype: Any, **needed: Any) -> None:
     """Raise the errors of `check_format`, but allow that a Zarr array is replaced."""
     if output.suffix.lower() != ".zarr" or not output.is_dir():
-        check_format(output, "picture", dtype=dtype, alpha=alpha)
+        check_format(output, "picture", dtype=dtype, **needed)
         return
     check_format_package(output, FORMATS[".zarr"])
 
@@ -307,7 +308,6 @@ def _encode(
     picture = finish_picture(pixels, valid, affine, renderer.scale, pixels, calibration)
     # Encoded into the hidden folder: if the process is killed, the next run removes the file.
     embedded = read_metadata(source.path)
-    write_picture(
-        encoded, picture, alpha=options.alpha, settings=options.settings, embedded=embedded
-    )
+    stored = {name: getattr(options, name) for name in ("alpha", "quality", "settings")}
+    write_picture(encoded, picture, embedded=embedded, **stored)
     move_into_place(encoded, output)

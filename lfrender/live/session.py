@@ -28,7 +28,7 @@ from ..data.rendering import Rendering
 from ..depth.analyze import analyze
 from ..flat.demosaicing import demosaic
 from ..output.depth_picture import depth_picture
-from ..output.finish import Finish
+from ..output.finish import Finish, flat_picture
 from ..rendering.refocus import refocus
 from ..rendering.render import render
 from ..rendering.traditional import find_depth_problem, traditional
@@ -120,8 +120,8 @@ class View:
     def draw(self, kind: str, at: Place = (0.5, 0.5)) -> NDArray[Any]:
         """The picture with 8 bits; `at` is the place in focus, as shares of width and height."""
         if self.camera is None or kind == "raw":
-            return self._show_raw()
-        if kind == "traditional":
+            picture = self.raw
+        elif kind == "traditional":
             picture = traditional(self.flat, self.camera)
         elif kind == "depth":
             assert self.depth is not None
@@ -137,14 +137,15 @@ class View:
             picture = self.sharp
         return self.finish.apply(picture).image
 
-    def _show_raw(self) -> NDArray[Any]:
+    @property
+    def raw(self) -> Rendering:
+        """The raw frame."""
         encoded = self.shot.encoded
         if encoded is None and self.camera is not None:
             encoded = self.camera.encoded
         pixels = self.shot.pixels
         whole = np.ones((1, 1), bool)
-        raw = Rendering(pixels, np.eye(2, 3), whole, 1.0, self.white, encoded=encoded)
-        return self.finish.apply(raw).image
+        return Rendering(pixels, np.eye(2, 3), whole, 1.0, self.white, encoded=encoded)
 
     def jpeg(self, kind: str, at: Place = (0.5, 0.5)) -> bytes:
         """The same as a JPEG file; drawn once for all who ask."""
@@ -335,8 +336,9 @@ class Session:
             self.shot = shot = self.grabber.take(_PATIENCE) or self.shot
             if shot is None or self._is_drawn(shot):
                 continue
-            view = View(shot, shot.pixels, finish=self._finish)
+            view = View(shot, shot.pixels)
             try:
+                view.finish = self._finish = self._finish.measured(view.raw)
                 self.message = self._analyze(view)
             # An error of one frame, such as its size, is shown, and the next frame is tried.
             except Exception as error:
@@ -357,11 +359,11 @@ class Session:
             self.camera = camera = Calibration.from_dict(self._find_camera(shot).to_dict())
         finally:
             self._tried = time.monotonic()
-        self._finish = Finish(_SHOWN, exposure=self._exposure)
         known = camera
         if shot.white is not None:
             known = replace(camera, white_level=shot.white)
-        self._finish.measure_flat(_in_colour(shot, known), known)
+        shown = flat_picture(_in_colour(shot, known), known)
+        self._finish = Finish(_SHOWN, self._exposure).measured(shown)
         # A camera that is given tells nothing but the rotation: this frame need not be its white
         # image.
         if self._given:

@@ -13,7 +13,7 @@ import shutil
 import struct
 import zlib
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -26,15 +26,16 @@ from lfcal.runtime.packages import check_package
 
 from ..data.dense_depth import write_exr
 from ..runtime.colour_profile import colour_profile
-from ..runtime.types import AnyPath
+from ..runtime.types import AnyPath, Entries
 
 __all__ = [
+    "DEFAULT_QUALITY",
     "FORMATS",
-    "QUALITY",
     "TIFF_TILE",
     "EmbeddedMetadata",
     "Page",
     "PictureError",
+    "PictureFile",
     "PictureFormat",
     "check_format",
     "check_format_package",
@@ -50,8 +51,8 @@ __all__ = [
 TIFF_TILE = 256
 # Tags of width and height of the flat, which are not those of the picture (TIFF, EXIF).
 _SIZE_TAGS = ("ImageWidth", "ImageLength", "ExifImageWidth", "ExifImageHeight")
-#: Quality of JPEG and WebP: errors of two grey levels.
-QUALITY = 95
+#: Quality of JPEG and WebP if none is given: errors of two grey levels.
+DEFAULT_QUALITY = 95
 # Signature and first chunk (IHDR) of a PNG file [bytes]; other chunks stand behind them.
 _PNG_HEAD = 33
 # Exponent of light times 100,000, in the chunk gAMA of linear pictures and of those of sRGB, and
@@ -106,7 +107,7 @@ def read_metadata(path: AnyPath) -> EmbeddedMetadata:
 
     suffix = Path(path).suffix.lower()
     # The formats' own classes: Image.open refuses sensors above 179 megapixels.
-    readers: dict[str, Any] = {
+    readers: Entries = {
         ".png": PngImagePlugin.PngImageFile,
         ".webp": WebPImagePlugin.WebPImageFile,
     }
@@ -133,13 +134,22 @@ def read_metadata(path: AnyPath) -> EmbeddedMetadata:
         return EmbeddedMetadata()
 
 
+class PictureFile(NamedTuple):
+    """What is written into a file."""
+
+    pages: list[Page]  # of formats without stacks, one
+    embedded: EmbeddedMetadata = EmbeddedMetadata()
+    compress: bool = False
+    quality: int = DEFAULT_QUALITY
+
+
 @dataclass(frozen=True)
 class PictureFormat:
     """What files with one suffix can hold, and how they are written."""
 
     pixel_types: tuple[str, ...]  # names in NumPy
-    # Writes pages to a path, compressed or not; None for formats that hold no single pictures.
-    picture: Callable[[Path, list[Page], EmbeddedMetadata, bool], None] | None = None
+    # Writes a file to a path; None for formats that hold no single pictures.
+    picture: Callable[[Path, PictureFile], None] | None = None
     alpha: bool = True
     folder: bool = False  # whether a picture is a folder, which its writer moves into place itself
     stack: bool = False  # whether a file can hold several pictures
@@ -149,6 +159,7 @@ class PictureFormat:
         None  # encoder of FFmpeg and its options, if it is a film
     )
     display: bool = False  # whether values are always those of a display, encoded by sRGB
+    quality: bool = False  # whether something is lost, more or less of it
     package: str = ""  # that is needed
 
     def reduces(self, pixel_type: str) -> bool:
@@ -165,13 +176,14 @@ def check_format(
     *uses: Literal["picture", "animation", "film"],
     dtype: Any = None,
     alpha: bool = False,
+    quality: int | None = None,
     inputs: Iterable[Any] = (),
 ) -> None:
     """Raise an OutputError or PictureError if a file could not be written.
 
-    Its format must be for one of the `uses`, hold 8 bits or pixels of this type, and have its
-    package installed; `path` must be in a folder that can be written, and none of the `inputs` that
-    are read for it.
+    Its format must be for one of the `uses`, hold 8 bits or pixels of this type, have a quality
+    from 1 to 100 if one is given, and have its package installed; `path` must be in a folder that
+    can be written, and none of the `inputs` that are read for it.
     """
     suffixes = []
     for known, format_ in FORMATS.items():
@@ -185,7 +197,7 @@ def check_format(
             raise PictureError(f"{path}: {suffix} cannot hold {name} pixels; use .tif")
     if alpha and not kind.alpha:
         raise PictureError(f"{path}: {suffix} cannot hold an alpha channel; use .png or .tif")
-    check_format_package(path, kind)
+    check_format_package(path, kind, quality)
     if kind.film:
         import av
 
@@ -195,8 +207,14 @@ def check_format(
             raise PictureError(f"{path}: {built}; use another suffix")
 
 
-def check_format_package(path: AnyPath, kind: PictureFormat) -> None:
-    """Raise PictureError if the package that a format needs is not installed."""
+def check_format_package(path: AnyPath, kind: PictureFormat, quality: int | None = None) -> None:
+    """PictureError if a format needs a package that is not installed, or has not this quality."""
+    if quality is not None and not kind.quality:
+        raise PictureError(
+            f"{path}: {Path(path).suffix} has no quality; leave it out, or use .jpg or .webp"
+        )
+    if quality is not None and not 1 <= quality <= 100:
+        raise PictureError(f"{path}: quality must be from 1 to 100, got {quality!r}")
     if kind.package:
         check_package(kind.package, f"{path}: {Path(path).suffix} files need", PictureError)
 
@@ -220,7 +238,7 @@ def _affine(text: str) -> Floats:
 
 def tiff_tags(
     shape: tuple[int, ...], text: str, embedded: EmbeddedMetadata, ome: bool = False
-) -> dict[str, Any]:
+) -> Entries:
     """Options of tifffile for a picture of this shape, with alpha where it has 2 or 4 channels."""
     channels = (*shape, 1)[2]
     about = None
@@ -239,7 +257,7 @@ def tiff_tags(
     }
 
 
-def tiff_tiles(dtype: Any) -> dict[str, Any]:
+def tiff_tiles(dtype: Any) -> Entries:
     """Options of tifffile for deflated tiles."""
     return {
         "tile": (TIFF_TILE, TIFF_TILE),
@@ -249,25 +267,21 @@ def tiff_tiles(dtype: Any) -> dict[str, Any]:
     }
 
 
-def _write_tiff(path: Path, pages: list[Page], embedded: EmbeddedMetadata, compress: bool) -> None:
+def _write_tiff(path: Path, file: PictureFile) -> None:
     import tifffile
 
-    big = sum(pixels.nbytes for pixels, _ in pages) > _TIFF_BYTES
+    big = sum(pixels.nbytes for pixels, _ in file.pages) > _TIFF_BYTES
     ome = is_ome_name(path)
     with tifffile.TiffWriter(path, bigtiff=big, ome=ome) as tiff:
-        for pixels, text in pages:
-            tiles = {}
-            if compress:
-                tiles = tiff_tiles(pixels.dtype)
-            tiff.write(
-                np.ascontiguousarray(pixels),
-                **tiff_tags(pixels.shape, text, embedded, ome),
-                **tiles,
-            )
+        for pixels, text in file.pages:
+            options = tiff_tags(pixels.shape, text, file.embedded, ome)
+            if file.compress:
+                options |= tiff_tiles(pixels.dtype)
+            tiff.write(np.ascontiguousarray(pixels), **options)
 
 
-def _write_exr(path: Path, pages: list[Page], _embedded: EmbeddedMetadata, _compress: bool) -> None:
-    ((pixels, text),) = pages
+def _write_exr(path: Path, file: PictureFile) -> None:
+    ((pixels, text),) = file.pages
     count = (*pixels.shape, 1)[2]
     # The library writes three or four layers of one name as R, G, B and A.
     channels = {"RGBA"[:count]: pixels}
@@ -284,11 +298,12 @@ def _in_colour(pixels: Array) -> Array:
     return np.ascontiguousarray(pixels)
 
 
-def _write_png(path: Path, pages: list[Page], embedded: EmbeddedMetadata, _compress: bool) -> None:
+def _write_png(path: Path, file: PictureFile) -> None:
     # By OpenCV: Pillow has no colours of 16 bits.
     import cv2
 
-    ((pixels, text),) = pages
+    ((pixels, text),) = file.pages
+    embedded = file.embedded
     pixels = _in_colour(pixels)
     if pixels.ndim == 3:
         order = {3: cv2.COLOR_RGB2BGR, 4: cv2.COLOR_RGBA2BGRA}[pixels.shape[2]]
@@ -317,14 +332,13 @@ def _png_chunk(kind: bytes, body: bytes) -> bytes:
     return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
 
 
-def _write_small(
-    path: Path, pages: list[Page], embedded: EmbeddedMetadata, _compress: bool
-) -> None:
+def _write_small(path: Path, file: PictureFile) -> None:
     """JPEG or WebP."""
     from PIL import Image
 
-    ((pixels, text),) = pages
-    more: dict[str, Any] = {}
+    ((pixels, text),) = file.pages
+    embedded = file.embedded
+    more: Entries = {"quality": file.quality}
     # Without a profile, programs take JPEG and WebP for sRGB.
     if embedded.icc or embedded.encoded is False:
         more["icc_profile"] = embedded.profile((*pixels.shape, 1)[2])
@@ -333,7 +347,7 @@ def _write_small(
     if path.suffix.lower() != ".webp":
         more["comment"] = text.encode("ascii")
     try:
-        Image.fromarray(_in_colour(pixels)).save(path, quality=QUALITY, **more)
+        Image.fromarray(_in_colour(pixels)).save(path, **more)
     except (OSError, ValueError) as error:
         size = f"{pixels.shape[1]} x {pixels.shape[0]} px"
         raise PictureError(
@@ -341,11 +355,9 @@ def _write_small(
         ) from error
 
 
-def _write_zarr_picture(
-    path: Path, pages: list[Page], _embedded: EmbeddedMetadata, _compress: bool
-) -> None:
+def _write_zarr_picture(path: Path, file: PictureFile) -> None:
     """An OME-Zarr group with the array `0`, (c, y, x) or (y, x)."""
-    ((pixels, text),) = pages
+    ((pixels, text),) = file.pages
     affine = _affine(text)
     scale = np.diag(affine)[::-1].tolist()
     first = affine[::-1, 2].tolist()
@@ -402,7 +414,7 @@ def write_ome_zarr(
 _WHOLE = ("uint8", "uint16")
 _ALL = ("uint8", "uint16", "float32")
 _TIFF = PictureFormat(_ALL, _write_tiff, stack=True, tiles=True)
-_JPEG = PictureFormat(("uint8",), _write_small, alpha=False, display=True)
+_JPEG = PictureFormat(("uint8",), _write_small, alpha=False, display=True, quality=True)
 
 
 def _film(
@@ -431,7 +443,7 @@ FORMATS = {
     ".png": PictureFormat(_WHOLE, _write_png, animation="PNG"),
     ".tif": _TIFF,
     ".tiff": _TIFF,
-    ".webp": PictureFormat(("uint8",), _write_small, animation="WEBP", display=True),
+    ".webp": replace(_JPEG, alpha=True, animation="WEBP"),
     # Raw planes, by default 4:2:0 of 10 bits, as coders of video take them.
     ".yuv": _film(_WHOLE, "rawvideo"),
     ".zarr": PictureFormat(_ALL, _write_zarr_picture, folder=True, tiles=True, package="zarr"),

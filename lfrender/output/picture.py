@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -19,9 +19,16 @@ from lfcal.runtime.output_file import atomic_write, refuse_leftovers
 from ..data.rendering import Rendering
 from ..runtime.choices import Tone
 from ..runtime.colour_profile import is_linear_profile
-from ..runtime.types import AnyPath
+from ..runtime.types import AnyPath, Entries
 from .finish import Finish
-from .formats import FORMATS, EmbeddedMetadata, Page, PictureError, check_format
+from .formats import (
+    DEFAULT_QUALITY,
+    FORMATS,
+    EmbeddedMetadata,
+    PictureError,
+    PictureFile,
+    check_format,
+)
 
 __all__ = [
     "PictureError",
@@ -47,6 +54,7 @@ def write_picture(
     exposure: Exposure | None = None,
     tone: Tone = "auto",
     white_balance: WhiteBalance = "auto",
+    quality: int | None = None,
 ) -> None:
     """Write a rendering, or plain pixels, as TIFF, PNG, JPEG, WebP, OpenEXR or OME-Zarr.
 
@@ -84,6 +92,8 @@ def write_picture(
     white_balance : {"auto", "none"} or (float, float, float)
         Gains on the light of red, green and blue. `"auto"` changes renderings from a colour filter
         mosaic alone: by the white image of the camera, or else until they are grey on the average.
+    quality : int, optional
+        Of JPEG and WebP, from 1 to 100: more has less error and larger files. The default is 95.
 
     Examples
     --------
@@ -94,15 +104,10 @@ def write_picture(
     (20, 30)
     """
     finish = Finish(
-        path,
-        exposure=exposure,
-        tone=tone,
-        white_balance=white_balance,
-        encoded=encoded_by(embedded),
+        path, exposure, tone, white_balance, quality=quality, encoded=encoded_by(embedded)
     )
-    write_finished(
-        path, picture, finish, alpha=alpha, settings=settings, embedded=embedded, compress=compress
-    )
+    stored: Entries = {"settings": settings, "embedded": embedded, "compress": compress}
+    write_finished(path, picture, finish, alpha=alpha, **stored)
 
 
 def write_finished(
@@ -116,7 +121,8 @@ def write_finished(
     compress: bool = False,
 ) -> None:
     """Write a picture after `finish`, which several pictures may share; else as `write_picture`."""
-    _write(Path(path), [_page(path, picture, settings, finish, alpha)], embedded, compress)
+    file = _file(path, picture, settings, finish, embedded, alpha)
+    _write(Path(path), file._replace(compress=compress))
 
 
 def write_stack(
@@ -149,22 +155,24 @@ def write_stack(
     target = Path(path)
     digits = max(2, len(str(len(pictures))))
     finish = finish or Finish(target, encoded=encoded_by(embedded))
+    finish = finish.measured(pictures[0])
     several = zip(pictures, settings or [{}] * len(pictures), strict=True)
-    pages = [_page(target, picture, entries, finish) for picture, entries in several]
+    files = [_file(target, picture, entries, finish, embedded) for picture, entries in several]
     if FORMATS[target.suffix.lower()].stack:
-        _write(target, pages, embedded)
+        pages = [page for file in files for page in file.pages]
+        _write(target, files[0]._replace(pages=pages))
         return [target]
     paths = [target.with_stem(f"{target.stem}_{k + 1:0{digits}d}") for k in range(len(pictures))]
     numbered = rf"{re.escape(target.stem)}_\d{{2,}}{re.escape(target.suffix)}"
     refuse_leftovers(target.parent, numbered, [path.name for path in paths])
-    for one, page in zip(paths, pages, strict=True):
-        _write(one, [page], embedded)
+    for one, file in zip(paths, files, strict=True):
+        _write(one, file)
     return paths
 
 
 def describe(affine: Floats | None, settings: Mapping[str, Any] | None) -> str:
     """The JSON text of a picture."""
-    entries: dict[str, Any] = {"software": "lfrender"}
+    entries: Entries = {"software": "lfrender"}
     if affine is not None:
         entries["affine"] = affine.tolist()
     return json.dumps(entries | dict(settings or {}))
@@ -183,49 +191,45 @@ def encoded_by(embedded: EmbeddedMetadata) -> bool | None:
     return not is_linear_profile(embedded.icc)
 
 
-class _Described(NamedTuple):
-    """A page, and what its values are."""
-
-    page: Page
-    changed: bool  # whether they are no longer those that the profile of the flat describes
-    encoded: bool | None  # None for plain pixels, of which nothing is known
-
-
-def _page(
+def _file(
     path: AnyPath,
     picture: Any,
     settings: Mapping[str, Any] | None,
     finish: Finish,
+    embedded: EmbeddedMetadata,
     alpha: bool = False,
-) -> _Described:
-    """Pixels and JSON text of a picture, if the format of `path` can hold them."""
+) -> PictureFile:
+    """What is written of a picture, if the format of `path` can hold it."""
     if np.ma.is_masked(picture):
         raise PictureError(f"{path}: a picture has no masked pixels; fill them in first")
-    shown = finish.apply(picture)
-    changed = False
+    seen: Any = True
+    affine = None
+    embedded = embedded._replace(encoded=None)
     if isinstance(picture, Rendering):
-        changed = finish.changes_curve
-        settings = {**(settings or {}), **finish.entries}
-    pixels = np.asarray(getattr(shown, "image", shown))
+        finish = finish.measured(picture)
+        shown = finish.apply(picture)
+        pixels = shown.image
+        seen = shown.valid
+        affine = shown.affine
+        settings = {**(settings or {}), **finish.entries(shown)}
+        embedded = embedded._replace(encoded=shown.encoded)
+        if shown.encoded != finish.is_encoded(picture):
+            # The profile of the flat describes other values.
+            embedded = embedded._replace(icc=b"")
+    else:
+        pixels = finish.apply_to_pixels(np.asarray(picture))
     if pixels.shape[2:] not in ((), (3,)) or pixels.ndim < 2 or not pixels.size:
         raise PictureError(f"{path}: a picture has shape (h, w) or (h, w, 3), got {pixels.shape}")
-    check_format(path, "picture", dtype=pixels.dtype, alpha=alpha)
+    check_format(path, "picture", dtype=pixels.dtype, alpha=alpha, quality=finish.quality)
     if alpha:
-        pixels = with_alpha(pixels, np.asarray(getattr(picture, "valid", True)))
-    text = describe(getattr(picture, "affine", None), settings)
-    return _Described((pixels, text), changed, getattr(shown, "encoded", None))
+        pixels = with_alpha(pixels, np.asarray(seen))
+    page = (pixels, describe(affine, settings))
+    return PictureFile([page], embedded, quality=finish.quality or DEFAULT_QUALITY)
 
 
-def _write(
-    path: Path, described: list[_Described], embedded: EmbeddedMetadata, compress: bool = False
-) -> None:
+def _write(path: Path, file: PictureFile) -> None:
     kind = FORMATS[path.suffix.lower()]
     assert kind.picture is not None
-    first = described[0]
-    embedded = embedded._replace(encoded=first.encoded)
-    if first.changed:
-        embedded = embedded._replace(icc=b"")
-    pages = [one.page for one in described]
     # Folders are moved into place by their writer.
     with nullcontext(path) if kind.folder else atomic_write(path) as temporary:
-        kind.picture(temporary, pages, embedded, compress)
+        kind.picture(temporary, file)

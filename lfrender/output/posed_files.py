@@ -141,7 +141,7 @@ def _write_files(folder: Path, views: list[_Posed], mask: str) -> float:
     exact = ".exr"
     if find_spec("OpenEXR") is None:
         exact = ".tif"
-    finish = Finish("picture.png")
+    finish = Finish("picture.png").measured(views[0].picture)
     for name, picture, depth, _, known, _ in views:
         write_finished(images / f"{name}.png", picture, finish)
         write_picture(masks / mask.format(name), picture.valid.astype(np.uint8) * np.uint8(255))
@@ -305,7 +305,7 @@ def _write_rvs(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
     """`cameras.json`: axes x forward, y left, z up; depth as disparity of 16 bits."""
     cameras: list[dict[str, Any]] = []
     written: list[str] = []
-    finish = Finish("picture.yuv")
+    finish = Finish("picture.yuv").measured(views[0].picture)
     for number, (_, picture, depth, camera, known, centre) in enumerate(views):
         texture = yuv_frame(finish.apply(picture).image, "yuv420p10")
         width, height, (x, y, z) = texture.width, texture.height, camera.position.tolist()

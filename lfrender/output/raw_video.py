@@ -24,12 +24,12 @@ from .formats import FORMATS, PictureError, check_format_package
 __all__ = ["check_raw_format", "frame_bytes", "view_name", "write_view_videos", "yuv_frame"]
 
 
-def check_raw_format(folder: AnyPath, pixel_format: str) -> str:
+def check_raw_format(folder: AnyPath, pixel_format: str, quality: int | None = None) -> str:
     """The full name of a pixel format; PictureError if it cannot be written.
 
-    `"yuv"` stands for 4:2:0 with 10 bits.
+    `"yuv"` stands for 4:2:0 with 10 bits. It has no `quality`.
     """
-    check_format_package(Path(folder) / "v000.yuv", FORMATS[".yuv"])
+    check_format_package(Path(folder) / "v000.yuv", FORMATS[".yuv"], quality)
     if pixel_format == "yuv":
         return "yuv420p10"
     try:
@@ -99,8 +99,8 @@ def write_view_videos(
     make_folder(folder)
     paths = []
     finish = finish or Finish("view.yuv")
-    for number, picture in enumerate(pictures):
-        frame = yuv_frame(finish.apply(picture).image, name)
+    for number, picture in enumerate(finish.apply_to_all(pictures)):
+        frame = yuv_frame(picture.image, name)
         paths.append(Path(folder) / view_name(number, frame.width, frame.height))
         with atomic_write(paths[-1]) as temporary:
             temporary.write_bytes(frame_bytes(frame))

@@ -15,9 +15,9 @@ from lfcal.runtime.output_file import atomic_write, check_folder, make_folder, r
 
 from ..data.rendering import PICTURE_ADVICE, Rendering, check_pictures, pixels_between
 from ..depth.region import check_region
-from ..runtime.types import AnyPath, Size
+from ..runtime.types import AnyPath, Entries, Size
 from .finish import Finish
-from .formats import FORMATS, QUALITY, PictureError, check_format
+from .formats import DEFAULT_QUALITY, FORMATS, PictureError, check_format
 from .picture import write_finished, write_picture
 
 __all__ = [
@@ -35,18 +35,13 @@ __all__ = [
 #: How long an animation shows a picture.
 MILLISECONDS = 80
 # Options of `write_picture` that `Finish` holds.
-_FINISHING = ("exposure", "tone", "white_balance")
+_FINISHING = ("exposure", "tone", "white_balance", "quality")
 # Names of the files of a grid, as a regular expression.
 _GRID_FILES = r"row\d+_column\d+\.\w+"
 
 
-def check_grid(
-    folder: AnyPath,
-    suffix: str,
-    dtype: Any = None,
-    grid: Size | None = None,
-) -> None:
-    """Raise the errors of `check_format` if a folder of views could not be made.
+def check_grid(folder: AnyPath, suffix: str, grid: Size | None = None, **needed: Any) -> None:
+    """Raise the errors of `check_format`, for what is `needed`, if no folder of views can be made.
 
     Files of an earlier run that a `grid` of (rows, columns) would not replace are an OutputError.
     """
@@ -54,7 +49,7 @@ def check_grid(
     inside = target.parent
     if target.is_dir():
         inside = target
-    check_format(inside / f"view{suffix}", "picture", dtype=dtype)
+    check_format(inside / f"view{suffix}", "picture", **needed)
     if grid is not None:
         rows, columns = grid
         refuse_leftovers(
@@ -97,6 +92,7 @@ def write_grid(
     chosen = {name: options.pop(name) for name in _FINISHING if name in options}
     finish = finish or Finish(f"view{suffix}", **chosen)
     for index, picture in enumerate(pictures):
+        finish = finish.measured(picture)
         paths.append(target / (_grid_name(index, columns) + suffix))
         write_finished(paths[-1], picture, finish, **options)
     refuse_leftovers(target, _GRID_FILES, [path.name for path in paths])
@@ -129,7 +125,7 @@ def write_quilt(
     '_qs2x1a1.32'
     """
     finish = finish or Finish(path)
-    images = [picture.image for picture in map(finish.apply, check_pictures(pictures))]
+    images = [picture.image for picture in finish.apply_to_all(check_pictures(pictures))]
     if len(images) != columns * rows:
         raise PictureError(
             f"{path}: a quilt of {columns} x {rows} needs {columns * rows} views, got {len(images)}"
@@ -138,21 +134,30 @@ def write_quilt(
         np.concatenate(images[row * columns : (row + 1) * columns], axis=1)
         for row in reversed(range(rows))
     ]
-    write_picture(path, np.concatenate(lines, axis=0), **options)
+    write_picture(path, np.concatenate(lines, axis=0), quality=finish.quality, **options)
     height, width = images[0].shape[:2]
     return f"_qs{columns}x{rows}a{width / height:.2f}"
 
 
-def scale_for_size(calibration: Calibration, size: Size) -> float:
-    """Output pixels per pitch at which a picture has at least this width and height [px]."""
-    return (
-        min(float(np.max(np.divide(size, calibration.image_size))), 4.0) * calibration.lattice.pitch
-    )
+def scale_for_size(
+    calibration: Calibration, size: Size | None, scale: float | None = None
+) -> float | None:
+    """Output pixels per pitch at which a picture has at least this width and height [px].
+
+    Without a size it is `scale`.
+    """
+    if size is None:
+        return scale
+    share = float(np.max(np.divide(size, calibration.image_size)))
+    return min(share, 4.0) * calibration.lattice.pitch
 
 
-def resize_view(picture: Rendering, size: Size) -> Rendering:
-    """A view with exactly this width and height [px], over the same scene coordinates."""
-    if picture.valid.shape[::-1] == size:
+def resize_view(picture: Rendering, size: Size | None) -> Rendering:
+    """A picture with exactly this width and height [px], over the same scene coordinates.
+
+    Without a size it stays as it is.
+    """
+    if size is None or picture.valid.shape[::-1] == size:
         return picture
     import cv2
 
@@ -233,16 +238,16 @@ def write_animation(
     """
     from PIL import Image
 
-    check_format(path, "animation")
     finish = finish or Finish(path, eight_bits=True)
-    shown = map(finish.apply, check_pictures(pictures))
+    check_format(path, "animation", quality=finish.quality)
+    shown = finish.apply_to_all(check_pictures(pictures))
     frames = [Image.fromarray(np.ascontiguousarray(picture.image)) for picture in shown]
     if not frames:
         raise PictureError(f"{path}: an animation needs at least one picture")
     suffix = Path(path).suffix.lower()
-    options: dict[str, Any] = {}
+    options: Entries = {}
     if suffix == ".webp":
-        options = {"lossless": False, "quality": QUALITY}
+        options = {"lossless": False, "quality": finish.quality or DEFAULT_QUALITY}
     if suffix == ".gif":
         # All frames share one palette: with a palette each, colours would flicker.
         palette = frames[0].convert("RGB").quantize()

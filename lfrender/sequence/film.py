@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 from lfcal import Calibration, OutputError
 from lfcal.runtime.errors import check_type
+from lfcal.runtime.output_file import claim
 from lfcal.runtime.progress import Progress, show_progress
 
 from ..output.formats import check_format
@@ -208,25 +209,26 @@ def render_film(
     options = replace(options, shown_as=output.suffix.lower())
     camera = calibration and calibration.to_dict()
     colours = (options.exposure, options.tone, options.white_balance)
-    drawn = (options.preset, options.scale, *colours)
+    drawn = (options.preset, options.scale, options.size, *colours)
     inputs = (*frames.files, frames.dark, str(frames.chosen), camera, drawn)
     checkpoint = Checkpoint(output, "film", *inputs)
-    # A film that was begun with `overwrite` may be finished without it.
-    if overwrite or checkpoint.found is None:
-        _refuse_existing(output, overwrite)
+    with claim(output):
+        # A film that was begun with `overwrite` may be finished without it.
+        if overwrite or checkpoint.found is None:
+            _refuse_existing(output, overwrite)
+            checkpoint.remove()
+            checkpoint.keep()
+        folder = checkpoint.folder
+        run: dict[str, Any] = {"announce": announce, "client": client, "threads": threads}
+        results = film_results(
+            render_frames(frames, folder, calibration, options, progress=progress, **run),
+            output,
+            folder,
+            Fraction(options.rate or frames.rate or DEFAULT_RATE),
+            lambda result: result.path,
+            rendering="all in focus",
+            preset=options.preset,
+        )
+        for result in results:
+            yield replace(result, path=output)
         checkpoint.remove()
-        checkpoint.keep()
-    folder = checkpoint.folder
-    run: dict[str, Any] = {"announce": announce, "client": client, "threads": threads}
-    results = film_results(
-        render_frames(frames, folder, calibration, options, progress=progress, **run),
-        output,
-        folder,
-        Fraction(options.rate or frames.rate or DEFAULT_RATE),
-        lambda result: result.path,
-        rendering="all in focus",
-        preset=options.preset,
-    )
-    for result in results:
-        yield replace(result, path=output)
-    checkpoint.remove()

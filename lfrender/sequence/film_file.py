@@ -48,8 +48,8 @@ def write_moving(path: Path, pictures: Iterable[Rendering], finish: Finish) -> N
         write_animation(path, pictures, finish=finish)
         return
     with atomic_write(path) as temporary, FilmFile(temporary, Fraction(1000, MILLISECONDS)) as film:
-        for picture in pictures:
-            film.add(finish.apply(picture).image)
+        for picture in finish.apply_to_all(pictures):
+            film.add(picture.image)
 
 
 def film_results(

@@ -37,6 +37,13 @@ class Frame:
         None  # image file whose metadata its picture gets; None for frames of videos
     )
 
+    @property
+    def place(self) -> str:
+        """The file, and its page if it has several, for messages; the name of frames of videos."""
+        if self.source is None or self.source.stem == self.name:
+            return str(self.source or self.name)
+        return f"{self.source}, frame {self.name}"
+
 
 def read_lit(frame: Frame) -> Array:
     """The flat of a frame; FlatError if all its pixels are equal, as behind a lens cap."""

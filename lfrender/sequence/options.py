@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from lfcal.runtime.light.tone import Exposure, WhiteBalance
 
 from ..runtime.choices import Preset, Tone
-from ..runtime.types import AnyPath
+from ..runtime.types import AnyPath, Size
 from .view_grid import ViewGrid
 
 __all__ = ["FrameOptions"]
@@ -22,6 +22,8 @@ class FrameOptions:
     preset : {"fast", "balanced"}
     scale : float or None
         Output pixels per pitch. None takes the full resolution of the first frame for all frames.
+    size : (int, int), optional [px]
+        Width and height of the pictures, or of each view, in place of `scale`.
     suffix : str
         Format of the pictures: `".tif"`, `".png"`, ... Films ignore it.
     views : ViewGrid, optional
@@ -33,7 +35,7 @@ class FrameOptions:
         Write pictures with 8 bits per channel. JPEG and WebP always have 8 bits.
     exposure : float or "auto", optional [EV]
         As for `write_picture`. All pictures have one gain; `"auto"` measures it on the first frame.
-    tone, white_balance
+    tone, white_balance, quality
         As for `write_picture`; the white balance of all pictures is that of the first frame.
     shown_as : str
         Suffix of the format that decides what `"auto"` means for the three above, such as `".mp4"`;
@@ -56,12 +58,14 @@ class FrameOptions:
 
     preset: Preset = "balanced"
     scale: float | None = None
+    size: Size | None = None
     suffix: str = ".tif"
     views: ViewGrid | None = None
     eight_bits: bool = False
     exposure: Exposure | None = None
     tone: Tone = "auto"
     white_balance: WhiteBalance = "auto"
+    quality: int | None = None
     shown_as: str = ""
     depth_maps: AnyPath | None = None
     rate: float | None = None

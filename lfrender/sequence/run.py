@@ -17,7 +17,7 @@ from threading import RLock
 from time import perf_counter
 from typing import Any, Literal
 
-from lfcal import Calibration, LightFieldError, OutputError, calibrate
+from lfcal import Calibration, FlatError, LightFieldError, OutputError, calibrate
 from lfcal.runtime.arrays import Array
 from lfcal.runtime.errors import check_type
 
@@ -28,9 +28,10 @@ from ..data.rendering import PictureGrid, Rendering
 from ..depth.analyze import analyze
 from ..flat.demosaicing import demosaic
 from ..output.depth_picture import depth_picture
-from ..output.finish import Finish
+from ..output.finish import Finish, flat_picture
 from ..output.formats import EmbeddedMetadata, read_metadata
 from ..output.picture import encoded_by, write_finished, write_picture
+from ..output.views import resize_view, scale_for_size
 from ..rendering.render import render
 from ..rendering.viewpoints import still_depth
 from ..runtime.types import Size
@@ -125,6 +126,8 @@ class Run:
             "exposure": options.exposure,
             "tone": options.tone,
             "white_balance": options.white_balance,
+            "quality": options.quality,
+            "size": options.size,
         }
         # As they are read from a file, so that they compare.
         self._settings: dict[str, Any] = json.loads(json.dumps(settings))
@@ -135,9 +138,8 @@ class Run:
     @property
     def size(self) -> Size | None:
         """Columns and rows of the pictures, once the first frame has been analysed."""
-        views = self.options.views
-        if views is not None and views.size is not None:
-            return views.size
+        if self.options.size is not None:
+            return self.options.size
         if self.camera is None or self.state is None:
             return None
         pitch = self.camera.lattice.pitch
@@ -184,12 +186,23 @@ class Run:
         return FrameResult(frame.name, self.folder.path_of(frame.name), outcome, **more)
 
     def failed(self, frame: Frame, error: LightFieldError) -> FrameResult:
-        return self.result(frame, "failed", message=f"{frame.name}: {error}")
+        message = str(error)
+        if frame.place not in message:
+            message = f"{frame.place}: {message}"
+        return self.result(frame, "failed", message=message)
 
     def read(self, frame: Frame) -> Array:
         """The flat of a frame, in colour if the camera has a colour mosaic."""
         pixels = read_lit(frame)
-        return demosaic(pixels, self._camera(pixels))
+        camera = self._camera(pixels)
+        size = pixels.shape[1::-1]
+        if size != camera.image_size:
+            own, common = ("{} x {}".format(*pair) for pair in (size, camera.image_size))
+            raise FlatError(
+                f"has {own} px, the frames of this run have {common}; leave this file out, or "
+                "render it into a folder of its own"
+            )
+        return demosaic(pixels, camera)
 
     def _camera(self, pixels: Array) -> Calibration:
         """The camera of the run, calibrated from these pixels if there is none yet."""
@@ -217,10 +230,10 @@ class Run:
         """Decide what all pictures have in common, and store it."""
         options = self.options
         camera = self._camera(flat)
-        scale = default_scale(depth) if options.scale is None else options.scale
-        gain, balance = self._finish(None).measure_flat(flat, camera)
-        colours = depth_limits(depth)
-        self.state = RunState(scale, still_depth(depth), colours, gain, balance)
+        scale = scale_for_size(camera, options.size, options.scale) or default_scale(depth)
+        finish = self._finish(None).measured(flat_picture(flat, camera))
+        light = (finish.gain or 1.0, finish.balance)
+        self.state = RunState(scale, still_depth(depth), depth_limits(depth), *light)
         self.camera = self.folder.save_state(self._settings, self.state, camera)
 
     def _analyze(self, flat: Array, before: _Reference | None) -> DepthMap:
@@ -297,12 +310,13 @@ class Run:
             depth.save(self.folder.depth_path_of(frame.name))
         if self.folder.views is not None:
             assert self.options.views is not None
-            pictures = self.options.views.draw(
+            drawn = self.options.views.draw(
                 flat, self._camera(flat), depth, state.scale, state.still
             )
+            pictures = (resize_view(picture, self.options.size) for picture in drawn)
             self.folder.views.write(number, frame.name, pictures, self._finish(None))
         else:
-            picture = picture or self._draw(flat, depth, first)
+            picture = resize_view(picture or self._draw(flat, depth, first), self.options.size)
             settings: dict[str, Any] = {"rendering": "all in focus", "preset": self.options.preset}
             embedded = EmbeddedMetadata()
             if frame.source:
@@ -319,24 +333,24 @@ class Run:
         suffix = options.shown_as or options.suffix
         if self.folder.views is not None and self.folder.views.raw:
             suffix = ".yuv"
-        known = None
-        if self.state is not None:
-            red, green, blue = self.state.balance
-            known = self.state.gain, (red, green, blue)
-        return Finish(
+        finish = Finish(
             f"picture{suffix}",
-            exposure=options.exposure,
-            tone=options.tone,
-            white_balance=options.white_balance,
-            eight_bits=options.eight_bits,
-            encoded=encoded,
-            known=known,
+            options.exposure,
+            options.tone,
+            options.white_balance,
+            options.eight_bits,
+            options.quality,
+            encoded,
         )
+        if self.state is None:
+            return finish
+        red, green, blue = self.state.balance
+        return replace(finish, gain=self.state.gain, balance=(red, green, blue))
 
     @property
     def sentences(self) -> list[str]:
         """What is done to all pictures, once the first frame has been analysed."""
-        return self._finish(None).sentences
+        return self._finish(None).sentences()
 
 
 def render_group(run: Run, group: Group, _loaded: object) -> list[FrameResult]:

@@ -55,9 +55,9 @@ class RunFolder:
         self._suffix = options.suffix
         self._state = self.hidden / "settings.json"
         if options.views is None:
-            check_format(self.path_of("picture"), "picture")
+            check_format(self.path_of("picture"), "picture", quality=options.quality)
         else:
-            self.views = ViewOutput(place, self.hidden, options.suffix)
+            self.views = ViewOutput(place, self.hidden, options.suffix, options.quality)
             self.views.start(overwrite, names)
         if self.depth_maps is not None:
             make_folder(self.depth_path_of("").parent)

@@ -25,9 +25,7 @@ from ..output.finish import Finish
 from ..output.formats import check_format
 from ..output.picture import write_finished
 from ..output.raw_video import check_raw_format, frame_bytes, view_name, yuv_frame
-from ..output.views import resize_view, scale_for_size
 from ..rendering.viewpoints import grid_offsets, views
-from ..runtime.types import Size
 
 __all__ = ["ViewGrid", "ViewOutput"]
 
@@ -55,7 +53,6 @@ class ViewGrid:
     rows: int = 5
     columns: int = 5
     aperture: float = 0.7  # distance of the corners from the middle [radius of a microimage]
-    size: Size | None = None  # width and height of the views [px]; with None the scale of the run
 
     @property
     def count(self) -> int:
@@ -72,24 +69,23 @@ class ViewGrid:
     ) -> Iterator[Rendering]:
         """The views of a frame, row by row."""
         offsets = grid_offsets(self.rows, self.columns, self.aperture * calibration.lattice.radius)
-        if self.size is not None:
-            scale = scale_for_size(calibration, self.size)
-        for picture in views(flat, calibration, depth, offsets=offsets, scale=scale, still=still):
-            yield picture if self.size is None else resize_view(picture, self.size)
+        return views(flat, calibration, depth, offsets=offsets, scale=scale, still=still)
 
 
 class ViewOutput:
     """The files of views; `suffix` is one of pictures, or the pixel format of raw video."""
 
-    def __init__(self, folder: Path, hidden: Path, suffix: str) -> None:
+    def __init__(self, folder: Path, hidden: Path, suffix: str, quality: int | None = None) -> None:
         self.folder = folder
         self.suffix = suffix
         self._parts = hidden / "views"  # unfinished files
         kind = suffix.lstrip(".")
         #: Pixel format of raw video, empty for pictures.
-        self.raw = check_raw_format(folder, kind) if kind.startswith(("yuv", "gra")) else ""
+        self.raw = (
+            check_raw_format(folder, kind, quality) if kind.startswith(("yuv", "gra")) else ""
+        )
         if not self.raw:
-            check_format(folder / f"image{suffix}", "picture")
+            check_format(folder / f"image{suffix}", "picture", quality=quality)
 
     def path_of(self, name: str) -> Path:
         """The folder of the views of a frame, or of the files of raw video."""

@@ -27,7 +27,7 @@ from ..data.depth_map import (
 from ..data.depth_order import depth_limits, name_ends
 from ..data.rendering import PictureGrid
 from ..output.depth_picture import lens_maps
-from ..output.finish import Finish
+from ..output.finish import Finish, flat_picture
 from .calibration_figure import calibration_panels, flat_part
 from .report_pictures import ReportPictures, data_urls, draw_pictures, picture_url, reduce_picture
 from .templates import Markup, fill, read_asset
@@ -96,11 +96,11 @@ def write_report(
     grid = PictureGrid(lattice.image_size, lattice.pitch, scale)
     maps = lens_maps(depth, lattice, grid.affine(), grid.size[::-1])
     charts = {name: picture_url(picture, ".png") for name, picture in maps.items()}
-    raw = Finish("flat.webp").show(flat, calibration)
-    finish = Finish("picture.webp")
+    raw = Finish("flat.webp").apply(flat_picture(flat, calibration)).image
+    finish = Finish("picture.webp").measured(pictures.sharp)
     drawn = {"all_in_focus": pictures.sharp, **pictures.fixed, "traditional": pictures.traditional}
+    drawn |= {name: flat_picture(pixels, calibration) for name, pixels in (compare or {}).items()}
     shown = {name: finish.apply(picture).image for name, picture in drawn.items()}
-    shown |= {name: finish.show(pixels, calibration) for name, pixels in (compare or {}).items()}
     shown["flat"] = reduce_picture(raw, min(1.0, _WIDTH / flat.shape[1]))
     panels = calibration_panels(flat, calibration)
     crop = flat_part(flat, _most_detail(pictures), _CROP * calibration.lattice.pitch)

@@ -22,7 +22,7 @@ from ..flat.lens_graph import lens_displacements, lens_offsets, nearest_lens
 from ..flat.lens_type_weights import WEIGHT_RATIOS, focus_weights
 from ..flat.validation import check_flat
 from ..output.depth_picture import DEPTH_SCALE, colour_scale
-from ..output.finish import Finish
+from ..output.finish import Finish, flat_picture
 from ..rendering.blend.lit_flat import dilate_mask
 from ..rendering.blend.occlusion import project_surface
 from ..rendering.renderer import AGREEMENT, REACH, REFOCUS_REACH, VIEW_REACH
@@ -87,8 +87,7 @@ def viewer_scene(
     scene |= {"title": title, "size": [width, height], "metric": calibration.optics is not None}
     scene["rings"] = {"step": step, "values": _base64(np.column_stack(rings), np.float32)}
     with_occlusion = []
-    finish = Finish("flat.webp")
-    finish.measure_flat(pixels, calibration)
+    finish = Finish("flat.webp").measured(flat_picture(pixels, calibration))
     for name, (x, y) in places.items():
         part = _cut(codes, x, y, side)
         if part.any():
@@ -97,7 +96,7 @@ def viewer_scene(
                 np.uint8
             )
             yield f"occlusion-{name}.png", encode_picture(coded, ".png", compression)
-        shown = finish.show(_cut(even, x, y, side), calibration)
+        shown = finish.apply(flat_picture(_cut(even, x, y, side), calibration)).image
         yield f"flat-{name}.png", encode_picture(shown, ".png", compression)
     plain = traditional(flat, calibration)
     shown = finish.apply(plain).image

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
+
+from ...runtime.types import Entries
 
 if TYPE_CHECKING:
     from lfcal import Calibration, Optics
@@ -30,11 +33,11 @@ _SMALLEST_SHARE = 0.0005
 
 def rendering_settings(
     depth: DepthMap | None, patch_size: float | None, detail: str | None = None
-) -> dict[str, Any]:
+) -> Entries:
     """How a picture was rendered, as stored in its file."""
     if depth is None and patch_size is None:
         return {"rendering": "traditional"}
-    settings: dict[str, Any] = {"rendering": "one patch size", "patch_size": patch_size}
+    settings: Entries = {"rendering": "one patch size", "patch_size": patch_size}
     if depth is not None:
         settings = {"rendering": "all in focus", "preset": depth.preset}
     if detail is None:
@@ -44,14 +47,14 @@ def rendering_settings(
 
 def capture_figures(
     calibration: Calibration, depth: DepthMap | None = None, optics: Optics | None = None
-) -> dict[str, Any]:
+) -> Entries:
     """Figures of the camera and warnings; with a depth map, those of analysed lenses.
 
     These are shares of the modes, of the reasons why some are unresolved, and of the work that
     shortcuts saved; with optics, median and range [m] of the distances of nine tenths of the
     lenses, and the median of their standard errors.
     """
-    figures: dict[str, Any] = {
+    figures: Entries = {
         "pitch": calibration.lattice.pitch,
         "lenses": len(calibration.lattice),
         "camera_source": calibration.source,
@@ -118,7 +121,7 @@ def few_pixels_problem(pitch: float) -> str | None:
     )
 
 
-def picture_figures(picture: Rendering) -> dict[str, Any]:
+def picture_figures(picture: Rendering) -> Entries:
     """Size, scale, share of valid pixels, and affine to the flat."""
     height, width = picture.image.shape[:2]
     valid = float(picture.valid.mean())
@@ -138,37 +141,32 @@ def percent(share: float) -> str:
     return f"{rounded} %"
 
 
-def capture_sentences(
-    how: str,
-    calibration: Calibration,
-    depth: DepthMap | None = None,
-    optics: Optics | None = None,
-) -> list[str]:
-    """Number and pitch of the lenses, `how` they were found, shares of the modes, distances."""
-    sentences = [
-        f"{len(calibration.lattice):,} microlenses, "
-        f"{calibration.lattice.pitch:.1f} px apart, {how}."
-    ]
-    if depth is None:
+def capture_sentences(how: str, found: Entries) -> list[str]:
+    """Sentences about the figures of `capture_figures`.
+
+    These are number and pitch of the lenses, `how` they were found, shares of the modes, distances.
+    """
+    sentences = [f"{found['lenses']:,} microlenses, {found['pitch']:.1f} px apart, {how}."]
+    if "modes" not in found:
         return sentences
-    figures = capture_figures(calibration, depth, optics)
-    count = figures["lenses_analysed"]
-    lenses = "lenses"
-    if count < len(depth):
-        lenses = f"{count:,} lenses in this part"
-    told = {n: share for n, share in figures["modes"].items() if share >= _SMALLEST_SHARE}
+    count = found["lenses_analysed"]
+    where = "lenses"
+    if count < found["lenses"]:
+        where = f"{count:,} lenses in this part"
+    told = {n: share for n, share in found["modes"].items() if share >= _SMALLEST_SHARE}
     shares = ", ".join(f"{percent(share)} {name}" for name, share in told.items())
     if "unresolved" in told:
         # The reasons of a quarter of the unresolved lenses or more.
         least = told["unresolved"] / 4
-        reasons = figures["unresolved"].items()
+        reasons = found["unresolved"].items()
         shares += f" ({' or '.join(name for name, part in reasons if part >= least)})"
-    sentences.append(f"Of the {lenses} {shares}.")
-    if optics is not None and figures["distance_median"] == figures["distance_median"]:
-        near, far = figures["distance_range"]
+    sentences.append(f"Of the {where} {shares}.")
+    middle = found.get("distance_median", math.nan)
+    if not math.isnan(middle):
+        near, far = found["distance_range"]
         sentences.append(
-            f"Distances {near:.3g} to {far:.3g} m, half of them below "
-            f"{figures['distance_median']:.3g} m, each to {figures['distance_error']:.2g} m."
+            f"Distances {near:.3g} to {far:.3g} m, half of them below {middle:.3g} m, each to "
+            f"{found['distance_error']:.2g} m."
         )
     return sentences
 

@@ -67,6 +67,52 @@ def test_resize_gives_the_size_and_keeps_the_scene(house, ask, tmp_path, figures
     np.testing.assert_allclose(affine @ [209, 164, 1], [418.5, 328.5], atol=2)
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("render", "--patch-size", 5, "-o", "picture.jpg"),
+        ("render", "--patch-size", 5, "--tile", 200, "-o", "picture.jpg"),
+        ("refocus", "--patch-size", 5, "-o", "picture.webp"),
+        ("views", "--preset", "fast", "--grid", "1x1", "--format", "jpg", "-o", "views"),
+        ("views", "--preset", "fast", "--animation", 2, "-o", "round.webp"),
+    ],
+)
+def test_quality_chooses_between_size_and_error(ask, tmp_path, figures_of, words):
+    *words, output = words
+    sizes = []
+    for quality in (5, 60, 100):
+        folder = tmp_path / str(quality)
+        folder.mkdir()
+        figures_of(*ask(*words, folder / output, "--quality", quality))
+        (made,) = (path for path in folder.rglob("*") if path.is_file())
+        sizes.append(made.stat().st_size)
+    assert sizes[0] < 0.7 * sizes[1] < 0.5 * sizes[2]
+
+
+@pytest.mark.parametrize(
+    ("command", "name", "words"),
+    [
+        ("render", "picture.png", ()),
+        ("render", "picture.tif", ("--tile", 200)),
+        ("refocus", "picture.tif", ("--stack", 3)),
+        ("views", "views", ()),
+        ("views", "views", ("--format", "yuv")),
+        ("views", "round.gif", ("--animation", 4)),
+        ("views", "scene", ("--poses", "nerfstudio")),
+        ("batch", "frames", ("--format", "png")),
+        ("batch", "frames", ("--format", "yuv", "--views", "2x2")),
+        ("batch", "film.mkv", ()),
+    ],
+)
+def test_quality_is_refused_before_any_work_for_formats_that_have_none(
+    ask, tmp_path, run, assert_refused, command, name, words
+):
+    asked = ask(command, *words, "-o", tmp_path / name, "--quality", 80)
+    assert_refused(run(*asked), "has no quality; leave it out, or use .jpg or .webp")
+    assert_refused(run(*asked[:-1], 101), "'--quality'", "1<=x<=100")
+    assert not list(tmp_path.iterdir())
+
+
 def test_scale_is_the_number_of_pixels_per_pitch(house, ask, tmp_path, figures_of):
     drawn = figures_of(
         *ask("render", "--patch-size", "5", "--scale", "10", "-o", tmp_path / "picture.png")

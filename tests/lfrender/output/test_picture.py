@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from types import SimpleNamespace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ def rendering():
     image = np.stack([x * 6, y * 8, 255 - x * 6], -1).astype(np.uint8)
     valid = x > 3
     image[~valid] = 0
-    return SimpleNamespace(image=image, affine=AFFINE, valid=valid)
+    return Rendering(image, AFFINE, valid, 1.0)
 
 
 @pytest.mark.parametrize("extension", [".png", ".tif", ".TIFF"])
@@ -49,6 +49,21 @@ def test_lossy_formats_keep_the_colours(tmp_path, rendering, extension):
     assert (
         np.abs(read_flat(tmp_path / f"picture{extension}").astype(int) - rendering.image).mean() < 4
     )
+
+
+def test_quality_of_lossy_formats(tmp_path, rendering):
+    for name in ("a.jpg", "a.webp"):
+        sizes = []
+        for quality in (10, None, 100):
+            write_picture(tmp_path / name, rendering, quality=quality)
+            sizes.append((tmp_path / name).stat().st_size)
+        assert sizes[0] < sizes[1] < sizes[2]
+        write_picture(tmp_path / f"95{name}", rendering, quality=95)
+        assert (tmp_path / f"95{name}").stat().st_size == sizes[1]
+    with pytest.raises(PictureError, match=r"\.png has no quality"):
+        write_picture(tmp_path / "a.png", rendering, quality=90)
+    with pytest.raises(PictureError, match="quality must be from 1 to 100, got 0"):
+        write_picture(tmp_path / "a.jpg", rendering, quality=0)
 
 
 def test_affine_and_settings_travel_with_the_picture(tmp_path, rendering):
@@ -75,7 +90,7 @@ def test_affine_and_settings_travel_with_the_picture(tmp_path, rendering):
 @pytest.mark.parametrize("grey", [True, False])
 def test_alpha_is_the_mask_of_valid_pixels(tmp_path, rendering, extension, grey):
     if grey:
-        rendering.image = rendering.image[..., 0]
+        rendering = replace(rendering, image=rendering.image[..., 0])
     path = tmp_path / f"picture{extension}"
     write_picture(path, rendering, alpha=True)
     is_tiff = extension == ".tif"
@@ -143,7 +158,7 @@ def test_compressed_tiff_has_tiles_and_the_same_pixels(tmp_path, rendering, dtyp
 def test_float_openexr_comes_back_exactly(tmp_path, rendering, grey):
     exr = pytest.importorskip("OpenEXR")
     pixels = rendering.image.astype(np.float32) / 300
-    rendering.image = pixels[..., 0] if grey else pixels
+    rendering = replace(rendering, image=pixels[..., 0] if grey else pixels)
     write_picture(tmp_path / "picture.exr", rendering)
     with exr.File(str(tmp_path / "picture.exr")) as file:
         np.testing.assert_array_equal(

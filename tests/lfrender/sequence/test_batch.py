@@ -88,6 +88,36 @@ def test_even_frames_are_reported_and_do_not_stop_or_scale_the_others(
     assert min(tifffile.imread(results[1].path).shape[:2]) > 50
 
 
+def test_a_frame_of_another_size_is_named_by_its_file(house, tmp_path):
+    for name in ("a", "b"):
+        cv2.imwrite(str(tmp_path / f"{name}.png"), house.flat[..., ::-1])
+    cv2.imwrite(str(tmp_path / "c.png"), house.flat[:-10, :-20, ::-1])
+    tifffile.imwrite(tmp_path / "d.tif", np.stack([house.flat[:-10]] * 2), photometric="rgb")
+    words = ["batch", str(tmp_path), "-o", str(tmp_path / "out"), "--preset", "fast"]
+    done = CliRunner().invoke(main, words)
+    assert done.exit_code == 1
+    lines = done.stderr.splitlines()
+    assert (
+        f"{tmp_path}/c.png: has 400 x 320 px, the frames of this run have 420 x 330; "
+        in done.stderr
+    )
+    assert any(line.startswith(f"{tmp_path}/d.tif, frame d_00001: has 420 x 320") for line in lines)
+
+
+def test_resize_gives_the_size_of_pictures_and_of_films(house, tmp_path):
+    cv2.imwrite(str(tmp_path / "a.png"), house.flat[..., ::-1])
+    house.truth.calibration.save(tmp_path / "camera.json")
+    words = ["batch", str(tmp_path / "a.png"), "-c", str(tmp_path / "camera.json")]
+    words += ["--preset", "fast", "--resize", "210x164", "-o"]
+    for name in ("out", "film.mkv"):
+        done = CliRunner().invoke(main, [*words, str(tmp_path / name)])
+        assert done.exit_code == 0 and "of 210 x 164 px" in done.stderr, done.output
+    assert tifffile.imread(tmp_path / "out" / "a.tif").shape == (164, 210, 3)
+    assert read_flat(tmp_path / "film.mkv", 0).shape == (164, 210, 3)
+    both = CliRunner().invoke(main, [*words, str(tmp_path / "b"), "--scale", "5"])
+    assert both.exit_code == 2 and "--scale and --resize exclude each other" in both.output
+
+
 def test_pictures_keep_the_colour_profile_and_camera_data_of_their_frames(house, tmp_path):
     profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
     exif = Image.Exif()

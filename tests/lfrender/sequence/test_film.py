@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from fractions import Fraction
 from itertools import islice
 
@@ -17,6 +18,7 @@ from click.testing import CliRunner
 
 import lfcal
 import lfrender
+from lfcal.runtime.output_file import claim
 from lfrender.cli.main import main
 from lfrender.data.rendering import Rendering
 from lfrender.output.finish import Finish
@@ -120,6 +122,15 @@ def test_part_of_a_film_lasts_as_long_and_has_a_film_of_depth_in_fixed_colours(
         "in.mkv",
         "out.mkv",
     ]
+
+
+def test_a_film_that_is_being_written_is_refused(frames, house, tmp_path):
+    path = tmp_path / "film.mkv"
+    with claim(path), ThreadPoolExecutor() as pool:
+        other = pool.submit(list, render_film(frames, path, house.truth.calibration))
+        with pytest.raises(lfcal.OutputError, match="is being written by process"):
+            other.result()
+    assert not list(tmp_path.iterdir())
 
 
 def test_film_that_was_begun_anew_is_finished_without_being_told_again(frames, house, tmp_path):

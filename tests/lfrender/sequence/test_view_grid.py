@@ -15,13 +15,15 @@ import lfcal
 import lfrender
 from lfrender.cli.main import main
 from lfrender.output.raw_video import frame_bytes, yuv_frame
+from lfrender.output.views import resize_view, scale_for_size
 from lfrender.rendering.viewpoints import grid_offsets, still_depth
 from lfrender.sequence.run_folder import load_camera
 from lfrender.sequence.view_grid import ViewGrid
 
 av = pytest.importorskip("av", reason="raw video is written by PyAV (lfrender[video])")
 
-GRID = ViewGrid(2, 2, 0.5, (160, 120))
+GRID = ViewGrid(2, 2, 0.5)
+SIZE = (160, 120)
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +43,9 @@ def raw_views(frames, house, tmp_path_factory):
     folder = tmp_path_factory.mktemp("out") / "views"
     camera = house.truth.calibration
     results = list(
-        lfrender.render_frames(frames, folder, camera, preset="fast", suffix=".yuv", views=GRID)
+        lfrender.render_frames(
+            frames, folder, camera, preset="fast", suffix=".yuv", views=GRID, size=SIZE
+        )
     )
     assert [r.outcome for r in results] == ["rendered", "failed", "rendered", "rendered"]
     return folder
@@ -61,7 +65,11 @@ def test_views_follow_row_by_row_and_failed_frames_show_the_one_before(raw_views
     camera = house.truth.calibration
     flat = next(iter(frames)).read()
     depth = lfrender.analyze(flat, camera, "fast")
-    drawn = list(GRID.draw(flat, camera, depth, None, still_depth(depth)))
+    scale = scale_for_size(camera, SIZE)
+    drawn = [
+        resize_view(picture, SIZE)
+        for picture in GRID.draw(flat, camera, depth, scale, still_depth(depth))
+    ]
     for number, picture in enumerate(drawn):
         data = (raw_views / f"v{number:03d}-160x120.yuv").read_bytes()
         size = 160 * 120 * 3
@@ -75,7 +83,7 @@ def test_views_follow_row_by_row_and_failed_frames_show_the_one_before(raw_views
 def test_interrupted_run_is_continued_to_the_same_bits(raw_views, frames, house, tmp_path):
     camera = house.truth.calibration
     folder = tmp_path / "views"
-    options = {"preset": "fast", "suffix": ".yuv", "views": GRID}
+    options = {"preset": "fast", "suffix": ".yuv", "views": GRID, "size": SIZE}
     started = lfrender.render_frames(frames, folder, camera, **options)
     list(islice(started, 1))
     started.close()
@@ -87,7 +95,13 @@ def test_interrupted_run_is_continued_to_the_same_bits(raw_views, frames, house,
     with pytest.raises(lfcal.OutputError, match="another camera"):
         list(
             lfrender.render_frames(
-                frames, folder, camera, preset="fast", suffix=".yuv", views=ViewGrid(3, 3)
+                frames,
+                folder,
+                camera,
+                preset="fast",
+                suffix=".yuv",
+                views=ViewGrid(3, 3),
+                size=SIZE,
             )
         )
 
@@ -96,7 +110,7 @@ def test_pictures_of_views_are_in_a_folder_for_each_frame(frames, house, tmp_pat
     camera = house.truth.calibration
     one = lfrender.open_frames(frames.files[:1])
     (result,) = lfrender.render_frames(
-        one, tmp_path / "v", camera, preset="fast", suffix=".png", views=GRID
+        one, tmp_path / "v", camera, preset="fast", suffix=".png", views=GRID, size=SIZE
     )
     assert sorted(p.name for p in result.path.iterdir()) == [
         f"image_{k:03d}.png" for k in range(1, 5)

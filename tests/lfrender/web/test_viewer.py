@@ -25,7 +25,7 @@ from lfrender.cli.main import main
 from lfrender.data.depth_map import DepthMap
 from lfrender.data.surface import Surface
 from lfrender.flat.prefilter import prefilter_flat
-from lfrender.output.finish import Finish
+from lfrender.output.finish import Finish, flat_picture
 from lfrender.rendering.viewpoints import views_with_depth
 from lfrender.web.viewer import viewer_page, write_viewer
 from lfrender.web.viewer_scene import viewer_scene
@@ -115,9 +115,7 @@ def test_a_flat_with_distortion_lens_types_and_sixteen_bits_is_drawn_as_the_rend
     browser.get((tmp_path / "index.html").as_uri())
     wait_for(browser, READY)
     # The page gets the flat with 8 bits, as it is shown: brightened, by the curve of sRGB.
-    finish = Finish("flat.webp")
-    finish.measure_flat(flat, camera)
-    shown = finish.show(flat, camera)
+    shown = Finish("flat.webp").apply(flat_picture(flat, camera)).image
     for picture, settings in (
         (lfrender.refocus(shown, camera, FAR), {"mode": "focus", "plane": FAR}),
         (lfrender.render(shown, camera, depth, detail="off"), {"mode": "sharp"}),
