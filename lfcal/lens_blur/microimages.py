@@ -241,32 +241,38 @@ class _Model:
         """Parameters from a radius and, unless they are the usual ones, all other values."""
         return np.repeat((*values, *_START[len(values) - 1 :]), [self.count] * 3 + [1, 1])
 
-    def light(self, tile: _Tile, p: Array) -> Array:
-        """(m,) light at the squares of the mean microimages of a tile."""
+    def light(self, tile: _Tile, p: Array) -> tuple[Array, Array]:
+        """Light (m,) at the squares of a tile, and its slopes (m, k) by the parameters."""
         t = self.count
         total = np.full(len(tile.kind), p[-1])
+        slopes = np.zeros((len(tile.kind), len(p)))
+        slopes[:, -1] = 1
         # Of the blur by the squares, places of mean pixels leave two thirds.
         width = float(np.sqrt(1 + _SQUARES * tile.side**2))
+        # Corners between straight sides are farther away.
+        reach = (1 + self.straight) * float(p[:t].max() + p[t : 2 * t].max() + width)
         for number, step in enumerate(self.steps):
-            kind = self.kinds[tile.kind, number]
-            radius = p[:t][kind]
-            blur = p[t : 2 * t][kind]
-            away = tile.offset - step
+            rows = np.flatnonzero(np.hypot(*(tile.offset - step).T) < reach)
+            away = tile.offset[rows] - step
             far = np.hypot(*away.T)
+            kind = self.kinds[tile.kind[rows], number]
+            radius, blur, level = p[: 3 * t].reshape(3, t)[:, kind]
             if self.straight:
-                seen = np.prod(
-                    [_blurred_edge(radius - np.abs(away @ n), blur, width) for n in self.normals],
-                    axis=0,
-                )
+                seen = _blurred_sides(np.abs(away @ self.normals.T), radius, blur, width)
             else:
                 seen = _blurred_disc(far, radius, blur, width)
             if len(self.cut):
                 inside = self.cut[3] - np.hypot(*(away - self.cut[:2] - self.cut[2] * tile.place).T)
-                seen = seen * _blurred_edge(inside, 2 * self.cut[4], width)
-            total += (
-                p[2 * t : 3 * t][kind] * (1 + p[-2] * np.minimum(far / radius, _SHADED) ** 2) * seen
-            )
-        return total
+                seen *= _blurred_edge(inside, 2 * self.cut[4], width)[0]
+            square = np.minimum(far / radius, _SHADED) ** 2
+            shade = 1 + p[-2] * square
+            total[rows] += level * shade * seen[0]
+            of_shade = np.where(square < _SHADED**2, -2 * p[-2] * square / radius, 0)
+            slopes[rows, kind] += level * (shade * seen[1] + of_shade * seen[0])
+            slopes[rows, t + kind] += level * shade * seen[2]
+            slopes[rows, 2 * t + kind] += shade * seen[0]
+            slopes[rows, -2] += level * square * seen[0]
+        return total, slopes
 
     def fit(self, tile: _Tile, start: Array) -> tuple[Array, float]:
         """Parameters that explain mean microimages best, and the weighted RMS of what is left."""
@@ -279,13 +285,17 @@ class _Model:
         stiff = _PIXEL_ERROR * np.sqrt(len(root)) / _SPREADS
 
         def miss(p: Array) -> Array:
-            return np.append(
-                root * (self.light(tile, p) - tile.light), stiff * (p[-2:] - _START[-2:])
-            )
+            left = root * (self.light(tile, p)[0] - tile.light)
+            return np.append(left, stiff * (p[-2:] - _START[-2:]))
+
+        def slopes(p: Array) -> Array:
+            known = np.eye(len(p))[-2:] * stiff[:, None]
+            return np.vstack([root[:, None] * self.light(tile, p)[1], known])
 
         found = least_squares(
             miss,
             np.clip(start, low, high),
+            slopes,
             bounds=(low, high),
             loss="soft_l1",
             f_scale=_MISFIT,
@@ -297,33 +307,56 @@ class _Model:
 
 
 def _blurred_disc(far: Array, radius: Array, blur: Array, width: float) -> Array:
-    """Share of blurring discs that lies inside larger discs.
+    """Share of blurring discs that lies inside larger discs, and its slopes by both radii (3, m).
 
     The discs of radius `blur` lie at distances `far` from the middle of discs of `radius`, and are
     seen by squares of `width` [px]: the mean over three places across one (Gauss and Legendre).
     """
-    seen = (far < radius).astype(np.float64)
+    out = np.zeros((3, len(far)))
+    out[0] = far < radius
     near = np.flatnonzero(np.abs(far - radius) < blur + width / 2)
     radius = radius[near]
     blur = blur[near]
-    seen[near] = 0
+    sums = np.zeros((3, len(near)))
     for place, weight in _ACROSS_PIXEL:
         r = np.maximum(far[near] + width * place, 1e-9)
         one = np.clip((r**2 + blur**2 - radius**2) / (2 * r * blur), -1, 1)
         two = np.clip((r**2 + radius**2 - blur**2) / (2 * r * radius), -1, 1)
-        area = np.arccos(one) - one * np.sqrt(1 - one**2)
-        area += (radius / blur) ** 2 * (np.arccos(two) - two * np.sqrt(1 - two**2))
-        seen[near] += weight * area / np.pi
-    return seen
+        first = np.arccos(one)
+        second = np.arccos(two)
+        area = first - one * np.sqrt(1 - one**2)
+        area += (radius / blur) ** 2 * (second - two * np.sqrt(1 - two**2))
+        # The area grows by the arc of one circle that lies inside the other.
+        sums += weight * np.array([area, 2 * radius / blur**2 * second, 2 * (first - area) / blur])
+    out[:, near] = sums / np.pi
+    return out
+
+
+def _blurred_sides(far: Array, radius: Array, blur: Array, width: float) -> Array:
+    """Share of blurring discs inside pairs of straight edges, and its slopes as of a disc (3, m).
+
+    `far` (m, n) are the distances along the normals of `n` pairs; the share is the product.
+    """
+    out = np.zeros((3, len(far)))
+    out[0] = 1
+    for distance in far.T:
+        edge = _blurred_edge(radius - distance, blur, width)
+        out = out * edge[0] + out[0] * edge * [[0], [1], [1]]
+    return out
 
 
 def _blurred_edge(depth: Array, blur: Array | float, width: float) -> Array:
-    """Share of discs of radius `blur` that lies inside a straight edge, `depth` [px] away."""
-    seen = np.zeros(len(depth))
+    """Share of discs of radius `blur` inside a straight edge, `depth` [px] away.
+
+    The result (3, m) has the slopes by depth and blur, too.
+    """
+    out = np.zeros((3, len(depth)))
     for place, weight in _ACROSS_PIXEL:
         t = np.clip((depth + width * place) / blur, -1, 1)
-        seen += weight * (0.5 + (t * np.sqrt(1 - t**2) + np.arcsin(t)) / np.pi)
-    return seen
+        half = np.sqrt(1 - t**2)
+        slope = 2 * half / (np.pi * blur)
+        out += weight * np.array([0.5 + (t * half + np.arcsin(t)) / np.pi, slope, -t * slope])
+    return out
 
 
 def _average_tiles(
@@ -436,5 +469,5 @@ def _fit_tiles(model: _Model, tiles: list[_Tile], start: Array) -> MicroimageFie
             Field.fit(place, values, fault) for values, fault in zip(blurs.T, faults, strict=True)
         ),
         Field.fit(place, np.log([tile.level for tile in tiles]), LIGHT_FAULT),
-        (np.hypot(*middle.offset[own].T), middle.light[own], model.light(middle, start)[own]),
+        (np.hypot(*middle.offset[own].T), middle.light[own], model.light(middle, start)[0][own]),
     )
