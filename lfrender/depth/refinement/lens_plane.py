@@ -19,6 +19,7 @@ from lfcal.runtime.kernels import FAST, kernel, square
 from ...flat.gray_flat import GrayFlat
 from ...flat.neighbours import Neighbours
 from ..same_surface import TOLERANCE, same_surface
+from .least_squares import Plane, add_point, geman_mcclure, no_points, solve_plane
 from .pair_fit import PairFits
 
 __all__ = ["LensFits", "fit_lens_planes"]
@@ -87,51 +88,34 @@ def _fit_plane(count, s, v, x, y, z, gx, gy, known, rounds):
     (gx, gy).
 
     `known` is the inverse variance of that slant, which the last two `rounds` know. Returns the
-    plane, the variances of its height and its slant, chi square, and the sum of the weights.
+    plane, chi square, and the sum of the weights.
     """
     # Three standard deviations; what is twice as far off is another surface.
-    outlier2 = np.float32(9.0)
-    px = gx
-    py = gy
-    zero = np.float32(0.0)
-    height = slope = chi2 = weights = zero
+    outlier2 = 9.0
+    plane = Plane(z, gx, gy, 0.0, 0.0, 0.0)
+    chi2 = weights = 0.0
     for turn in range(rounds):
-        a = b = c = d = e = f = p = q = r = chi2 = weights = zero
+        sums = no_points(0.0)
+        chi2 = weights = 0.0
         for k in range(count):
-            residual = s[k] - z - gx * x[k] - gy * y[k]
+            residual = s[k] - plane.height - plane.slope_x * x[k] - plane.slope_y * y[k]
             limit = outlier2 * v[k]
             if turn < rounds - 2:
                 limit += (x[k] * x[k] + y[k] * y[k]) / known
-            w = limit / (limit + residual * residual)
-            w *= w
-            chi2 += w * residual * residual / v[k]
-            weights += w
-            w /= v[k]
-            size = s[k] - px * x[k] - py * y[k]
-            a += w
-            b += w * x[k]
-            c += w * y[k]
-            d += w * x[k] * x[k]
-            e += w * x[k] * y[k]
-            f += w * y[k] * y[k]
-            p += w * size
-            q += w * size * x[k]
-            r += w * size * y[k]
-        d += known
-        f += known
-        i00 = d * f - e * e
-        i01 = c * e - b * f
-        i02 = b * e - c * d
-        i11 = a * f - c * c
-        i12 = b * c - a * e
-        i22 = a * d - b * b
-        inverse = np.float32(1.0) / (a * i00 + b * i01 + c * i02)
-        z = (i00 * p + i01 * q + i02 * r) * inverse
-        gx = px + (i01 * p + i11 * q + i12 * r) * inverse
-        gy = py + (i02 * p + i12 * q + i22 * r) * inverse
-        height = i00 * inverse
-        slope = np.float32(0.5) * (i11 + i22) * inverse
-    return z, gx, gy, height, slope, chi2, weights
+            weight = geman_mcclure(residual * residual, limit)
+            chi2 += weight * residual * residual / v[k]
+            weights += weight
+            sums = add_point(sums, weight / v[k], x[k], y[k], s[k] - gx * x[k] - gy * y[k])
+        change = solve_plane(sums, known)
+        plane = Plane(
+            change.height,
+            gx + change.slope_x,
+            gy + change.slope_y,
+            change.height_variance,
+            change.slope_x_variance,
+            change.slope_y_variance,
+        )
+    return plane, chi2, weights
 
 
 @kernel(fastmath=FAST, error_model="numpy", share=lambda centres, *_: len(centres))
@@ -145,10 +129,10 @@ def _fit_planes(
     sizes = out.sizes
     slants = out.slants
     spreads = out.spreads
-    s = np.empty(most, np.float32)
-    v = np.empty(most, np.float32)
-    x = np.empty(most, np.float32)
-    y = np.empty(most, np.float32)
+    s = np.empty(most)
+    v = np.empty(most)
+    x = np.empty(most)
+    y = np.empty(most)
     for lens in range(begin, end):
         count = (
             _gather(lens, centres, pitch, neighbours, pairs, s, v, x, y)
@@ -161,16 +145,24 @@ def _fit_planes(
             spreads[lens, 0] = spreads[lens, 1] = np.inf
             spreads[lens, 2] = spreads[lens, 3] = 0.0
             continue
-        z, gx, gy, height, slope, chi2, weights = _fit_plane(
-            count, s, v, x, y, start[lens], prior[lens, 0], prior[lens, 1], prior[lens, 2], rounds
+        # Single precision would move a patch size by up to 0.1 px where pairs nearly lie on a line.
+        slant_x = np.float64(prior[lens, 0])
+        slant_y = np.float64(prior[lens, 1])
+        known = np.float64(prior[lens, 2])
+        plane, chi2, weights = _fit_plane(
+            count, s, v, x, y, np.float64(start[lens]), slant_x, slant_y, known, rounds
         )
-        sizes[lens] = z
-        slants[lens, 0], slants[lens, 1] = gx, gy
+        slope_variance = 0.5 * (plane.slope_x_variance + plane.slope_y_variance)
+        sizes[lens] = plane.height
+        slants[lens, 0] = plane.slope_x
+        slants[lens, 1] = plane.slope_y
+        spreads[lens, 0] = plane.height_variance
+        spreads[lens, 1] = slope_variance
+        spreads[lens, 2] = chi2
         # Each parameter takes a degree of freedom as far as the pairs, and not the prior, determine
         # it.
-        own = 1 - min(np.float32(1.0), slope * prior[lens, 2])
-        spreads[lens, 0], spreads[lens, 1], spreads[lens, 2] = height, slope, chi2
-        spreads[lens, 3] = max(weights - 1 - 2 * own, np.float32(0.0))
+        own = 1 - min(1.0, slope_variance * known)
+        spreads[lens, 3] = max(weights - 1 - 2 * own, 0.0)
 
 
 @kernel(fastmath=FAST, error_model="numpy", share=lambda neighbours, *_: len(neighbours))

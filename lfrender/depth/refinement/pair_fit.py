@@ -20,13 +20,23 @@ from lfcal.runtime.kernels import FAST, kernel, square
 
 from ...flat.gray_flat import GrayFlat
 from ..same_surface import TOLERANCE, same_surface
+from .least_squares import geman_mcclure, solve_symmetric
 from .pair_pixels import (
+    COLUMN,
+    LAPLACIAN,
+    LIGHT,
     NO_STEP,
+    ROW,
+    SHIFTED,
+    SLOPE_X,
+    SLOPE_Y,
     SPLINE_MARGIN,
+    Pair,
     cut_smoothed,
     first_pixel,
     pixel_raster,
     resample_shifted,
+    work_memory,
 )
 
 __all__ = ["PairFits", "fit_pairs"]
@@ -40,312 +50,277 @@ class PairFits(NamedTuple):
     """
 
     patch_size: NDArray[np.float32]  # (n, d, 2) [px]; NaN where nothing was measured
-    variance: NDArray[
-        np.float32
-    ]  # (n, d, 2) [px^2] from the residuals as if they were independent noise
+    # (n, d, 2) [px^2] from the residuals as if they were independent noise
+    variance: NDArray[np.float32]
     # (n, d, 2, 2) [px] where it was measured, order `x, y`: the mean, weighted by texture, of the
     # position between `delta` in the lens and `delta` in the neighbour
     place: NDArray[np.float32]
 
 
+class _Settings(NamedTuple):
+    """What the fits of all pairs have in common."""
+
+    radius: np.float32  # [px]
+    pitch: np.float32  # [px]
+    noise2: np.float32  # [white^2] variance of a pixel
+    iterations: int
+    last_step: np.float32  # [px] a shorter step ends a fit
+
+
+class _Fit(NamedTuple):
+    """Patch size of one pair [px], its variance and its place."""
+
+    size: np.float32
+    variance: np.float32
+    x: np.float32
+    y: np.float32
+
+
 # [px] farther from its start a fit has gone over to another optimum.
 _LARGEST_DRIFT = np.float32(2.5)
+# A calibration from one scene leaves shading of 2 % at the rim. A change by r^2 is a ramp of this
+# steepness between both lenses [per squared radius and px of patch size]; its prior is as wide.
+_SHADING_RAMP = np.float32(0.04)
+# Half differences of blur variances are this large in the mean [pitch^2].
+_BLUR_DIFFERENCE = np.float32(2e-3)
+# Below this brightness tone curves are linear, as that of sRGB.
+_LINEAR_TONE = np.float32(0.04)
+# Energy of smoothed white noise in slopes, per direction.
+_NOISE_OF_SLOPES = np.float32(17 / 144)
+# Pixels per independent one after the B-spline, at low frequencies and at those where the slopes
+# are noise.
+_SMOOTHED = np.float32(4)
+_SMOOTHED_NOISE = np.float32(1.62)
+
+# Terms of the linear equation of a pixel, `residual = slope * step + nuisances`: the residual, the
+# slope along the step from lens to lens, the constant, the ramp, and with two types of lenses the
+# Laplacian of blur and the tone curve.
+_RESIDUAL, _SLOPE, _CONSTANT, _RAMP, _BLUR, _TONE = range(6)
+
+
+@njit(fastmath=FAST, inline="always")
+def _add_products(sums, factor, terms):
+    """Add the products of a factor with the four first terms to four sums."""
+    residual, slope, constant, ramp = sums
+    return (
+        residual + factor * terms[_RESIDUAL],
+        slope + factor * terms[_SLOPE],
+        constant + factor * terms[_CONSTANT],
+        ramp + factor * terms[_RAMP],
+    )
 
 
 # Python's error model checks every division for zero, which prevents vector loops.
 @njit(fastmath=FAST, error_model="numpy", forceinline=True)
-def _sums(light, slope_x, slope_y, laplacian, other, columns, rows, overlap, offset, scale2):
-    """Sums over the pixels of a microimage that the other shows too, weighted after Geman and
-    McClure.
+def _sum_products(work, overlap, offset, scale2, types, sums):
+    """Fill the lower triangle of `sums` (m, m) with the products of the terms of the linear
+    equations, summed over the pixels that both lenses show, weighted after Geman and McClure.
 
-    Of weights, residuals, slopes, their products, the moments of place, brightness that grows along
-    the step from lens to lens, and unless it is None the Laplacian, and the squared slope over the
-    brightness.
+    The residual is the difference of brightness less an `offset`. Returns the mean place [px] from
+    the middle between both microimages, weighted by squared slopes. Lenses blur alike if `types` is
+    None.
     """
-    start, count, ux, uy, ax, ay, qx, qy, mx, my, r2, low_x, high_x, low_y, high_y = overlap
-    zero = np.float32(0.0)
-    sw = sr = srr = sp = spp = spr = sx = sy = sq = sqq = spq = sqr = sl = sll = spl = sql = slr = (
-        zero
-    )
-    st = stt = spt = sqt = slt = srt = zero
-    first = np.uint64(start)
-    for k in range(np.uint64(count)):
+    zero = np.float32(0)
+    one = np.float32(1)
+    middle_x = np.float32(0.5) * (overlap.ax + overlap.qx)
+    middle_y = np.float32(0.5) * (overlap.ay + overlap.qy)
+    of_residual = of_slope = of_constant = of_ramp = of_blur = of_tone = (zero, zero, zero, zero)
+    blur2 = tone2 = both2 = place_x = place_y = zero
+    first = np.uint64(overlap.start)
+    for k in range(np.uint64(overlap.places)):
         at = first + k
-        x = columns[at]
-        y = rows[at]
-        own_2 = (x - ax) * (x - ax) + (y - ay) * (y - ay)
-        other_2 = (x - qx) * (x - qx) + (y - qy) * (y - qy)
+        x = work[COLUMN, at]
+        y = work[ROW, at]
+        own2 = (x - overlap.ax) * (x - overlap.ax) + (y - overlap.ay) * (y - overlap.ay)
+        other2 = (x - overlap.qx) * (x - overlap.qx) + (y - overlap.qy) * (y - overlap.qy)
         both = (
-            (max(own_2, other_2) <= r2)
-            & (x >= low_x)
-            & (x <= high_x)
-            & (y >= low_y)
-            & (y <= high_y)
+            (max(own2, other2) <= overlap.radius2)
+            & (x >= overlap.low_x)
+            & (x <= overlap.high_x)
+            & (y >= overlap.low_y)
+            & (y <= overlap.high_y)
         )
-        p = ux * slope_x[at] + uy * slope_y[at]
-        r = light[at] - other[at] - offset
-        q = (ux * (x - mx) + uy * (y - my)) * light[at]
-        w = scale2 / (scale2 + r * r)
-        w = w * w if both else zero
-        wp = w * p
-        wq = w * q
-        wr = w * r
-        wpp = wp * p
-        sw += w
-        sr += wr
-        srr += wr * r
-        sp += wp
-        spr += wp * r
-        spp += wpp
-        sx += wpp * (x - mx)
-        sy += wpp * (y - my)
-        sq += wq
-        sqq += wq * q
-        spq += wq * p
-        sqr += wq * r
-        if laplacian is not None:
-            wl = w * laplacian[at]
-            sl += wl
-            sll += wl * laplacian[at]
-            spl += wl * p
-            sql += wl * q
-            slr += wl * r
-            # Below a brightness of 0.04 tone curves are linear, as that of sRGB.
-            t = (slope_x[at] * slope_x[at] + slope_y[at] * slope_y[at]) / max(
-                light[at], np.float32(0.04)
-            )
-            wt = w * t
-            st += wt
-            stt += wt * t
-            spt += wt * p
-            sqt += wt * q
-            slt += wt * laplacian[at]
-            srt += wt * r
-    return (
-        sw,
-        sr,
-        srr,
-        sp,
-        spp,
-        spr,
-        sx,
-        sy,
-        sq,
-        sqq,
-        spq,
-        sqr,
-        (sl, sll, spl, sql, slr),
-        (st, stt, spt, sqt, slt, srt),
-    )
+        x -= middle_x
+        y -= middle_y
+        light = work[LIGHT, at]
+        residual = light - work[SHIFTED, at] - offset
+        ramp = (overlap.ux * x + overlap.uy * y) * light
+        slope = overlap.ux * work[SLOPE_X, at] + overlap.uy * work[SLOPE_Y, at]
+        weight = geman_mcclure(residual * residual, scale2)
+        weight = weight if both else zero
+        terms = (residual, slope, one, ramp)
+        of_constant = _add_products(of_constant, weight, terms)
+        of_ramp = _add_products(of_ramp, weight * ramp, terms)
+        of_slope = _add_products(of_slope, weight * slope, terms)
+        of_residual = _add_products(of_residual, weight * residual, terms)
+        place_x += weight * slope * slope * x
+        place_y += weight * slope * slope * y
+        if types is not None:
+            blur = work[LAPLACIAN, at]
+            squares = work[SLOPE_X, at] * work[SLOPE_X, at] + work[SLOPE_Y, at] * work[SLOPE_Y, at]
+            tone = squares / max(light, _LINEAR_TONE)
+            of_blur = _add_products(of_blur, weight * blur, terms)
+            of_tone = _add_products(of_tone, weight * tone, terms)
+            blur2 += weight * blur * blur
+            both2 += weight * blur * tone
+            tone2 += weight * tone * tone
+    # Places in tuples are constants: the compiler leaves out sums that nobody reads.
+    sums[_RESIDUAL, _RESIDUAL] = of_residual[_RESIDUAL]
+    sums[_SLOPE, _RESIDUAL] = of_slope[_RESIDUAL]
+    sums[_SLOPE, _SLOPE] = of_slope[_SLOPE]
+    sums[_CONSTANT, _RESIDUAL] = of_constant[_RESIDUAL]
+    sums[_CONSTANT, _SLOPE] = of_constant[_SLOPE]
+    sums[_CONSTANT, _CONSTANT] = of_constant[_CONSTANT]
+    sums[_RAMP, _RESIDUAL] = of_ramp[_RESIDUAL]
+    sums[_RAMP, _SLOPE] = of_ramp[_SLOPE]
+    sums[_RAMP, _CONSTANT] = of_ramp[_CONSTANT]
+    sums[_RAMP, _RAMP] = of_ramp[_RAMP]
+    if types is not None:
+        sums[_BLUR, _RESIDUAL] = of_blur[_RESIDUAL]
+        sums[_BLUR, _SLOPE] = of_blur[_SLOPE]
+        sums[_BLUR, _CONSTANT] = of_blur[_CONSTANT]
+        sums[_BLUR, _RAMP] = of_blur[_RAMP]
+        sums[_BLUR, _BLUR] = blur2
+        sums[_TONE, _RESIDUAL] = of_tone[_RESIDUAL]
+        sums[_TONE, _SLOPE] = of_tone[_SLOPE]
+        sums[_TONE, _CONSTANT] = of_tone[_CONSTANT]
+        sums[_TONE, _RAMP] = of_tone[_RAMP]
+        sums[_TONE, _BLUR] = both2
+        sums[_TONE, _TONE] = tone2
+    return place_x / of_slope[_SLOPE], place_y / of_slope[_SLOPE]
 
 
-# Arrays are passed one by one, although there are many: taken out of tuples here, their references
-# would be counted for every pair, which costs a third of the time.
-@njit(fastmath=FAST, forceinline=True)
-def _fit_pair(
-    pixels,
-    size,
-    shape,
-    columns,
-    rows,
-    corner,
-    centres,
-    radius,
-    pitch,
-    start,
-    scale2,
-    light,
-    slope_x,
-    slope_y,
-    laplacian,
-    box,
-    lines,
-    shifted,
-    whole,
-    noise2,
-    iterations,
-    last_step,
-):
-    """Patch size of one pair from `start`, its variance and its place; NaN where it cannot be
-    determined.
+@njit(error_model="numpy", forceinline=True)
+def _fit_pair(pixels, shape, raster, corner, pair, start, scale2, settings, types, memory):
+    """Fit one pair from `start`; the patch size is NaN where it cannot be determined.
+
+    `memory` is that of the pixels, the normal equations, the inverse variances of their terms, and
+    the step of `resample_shifted`.
     """
+    work, sums, priors, box_step = memory
+    pitch = pair.pitch
+    noise2 = settings.noise2
+    steps2 = (square(pair.bx - pair.ax) + square(pair.by - pair.ay)) / (pitch * pitch)
+    slope_noise = _NOISE_OF_SLOPES * steps2
     s = start
-    ax, ay, bx, by = centres
-    # Energy of smoothed white noise in slopes, 17 / 144 per direction.
-    slope_noise = np.float32(17 / 144) * (square(bx - ax) + square(by - ay)) / (pitch * pitch)
-    offset = x = y = np.float32(0.0)
+    offset = np.float32(0)
+    x = np.float32(0)
+    y = np.float32(0)
     variance = np.float32(np.inf)
     failed = np.float32(np.nan)
-    tiny = np.float32(1e-12)
-    # Half differences of blur variances are 0.002 pitch^2 in the mean.
-    blur_prior = noise2 / square(np.float32(2e-3) * pitch * pitch)
-    for _ in range(iterations):
-        overlap = resample_shifted(
-            pixels, size, shape, corner, centres, radius, s, pitch, box, lines, shifted, whole
-        )
-        sw, sr, srr, sp, spp, spr, sx, sy, sq, sqq, spq, sqr, of_l, of_t = _sums(
-            light, slope_x, slope_y, laplacian, shifted, columns, rows, overlap, offset, scale2
-        )
-        if sw < 4:
-            return failed, variance, x, y
-        inverse = np.float32(1.0) / sw
-        # A calibration from one scene leaves shading of 2 % at the rim. A change by r^2 is a ramp
-        # of this steepness between both lenses; its prior is as wide.
-        ramp = np.float32(0.04) * s / (radius * radius)
-        ridge = max(sqq - sq * sq * inverse + noise2 / max(ramp * ramp, tiny), tiny)
-        shared = spq - sp * sq * inverse
-        shade = sqr - sq * sr * inverse
-        hessian = spp - sp * sp * inverse - shared * shared / ridge
-        gradient = spr - sp * sr * inverse - shared * shade / ridge
-        rest = srr - sr * sr * inverse - shade * shade / ridge
-        if laplacian is not None:
-            (sl, sll, spl, sql, slr), (st, stt, spt, sqt, slt, srt) = of_l, of_t
-            ql = sql - sq * sl * inverse
-            qt = sqt - sq * st * inverse
-            ll = max(sll - sl * sl * inverse - ql * ql / ridge + blur_prior, tiny)
-            lp = spl - sl * sp * inverse - ql * shared / ridge
-            lr = slr - sl * sr * inverse - ql * shade / ridge
-            lt = slt - sl * st * inverse - ql * qt / ridge
-            tt = max(stt - st * st * inverse - qt * qt / ridge - lt * lt / ll + blur_prior, tiny)
-            tp = spt - st * sp * inverse - qt * shared / ridge - lt * lp / ll
-            tr = srt - st * sr * inverse - qt * shade / ridge - lt * lr / ll
-            hessian -= lp * lp / ll + tp * tp / tt
-            gradient -= lp * lr / ll + tp * tr / tt
-            rest -= lr * lr / ll + tr * tr / tt
-        if hessian <= 1e-9:
-            return failed, variance, x, y
-        offset += sr * inverse
-        rest = max(rest - gradient * gradient / hessian, np.float32(0.0)) * inverse
+    for _ in range(settings.iterations):
+        overlap = resample_shifted(pixels, shape, raster, corner, pair, s, work, box_step)
+        at_x, at_y = _sum_products(work, overlap, offset, scale2, types, sums)
+        weight = sums[_CONSTANT, _CONSTANT]
+        if weight < 4:
+            return _Fit(failed, variance, x, y)
+        change = sums[_CONSTANT, _RESIDUAL] / weight
+
+        ramp = _SHADING_RAMP * s / (pair.radius * pair.radius)
+        priors[_RAMP] = noise2 / max(ramp * ramp, np.float32(1e-12))
+        solve_symmetric(sums, priors, _CONSTANT)
+        hessian = sums[_SLOPE, _SLOPE]
+        gradient = sums[_SLOPE, _RESIDUAL]
+        if hessian <= np.float32(1e-9):
+            return _Fit(failed, variance, x, y)
+        offset += change
+        rest = max(sums[_RESIDUAL, _RESIDUAL] - gradient * gradient / hessian, np.float32(0))
+        rest /= weight
+
         # Slopes of noise steepen the sum of squares, but do not move with the scene.
-        noise = slope_noise * min(noise2, np.float32(2) * rest) * sw
+        noise = slope_noise * min(noise2, np.float32(2) * rest) * weight
         texture = hessian * hessian / (hessian + noise)
         step = gradient / texture
-        # Pixels per independent one after the B-spline, at low frequencies and at those where the
-        # slopes are noise.
-        variance = (
-            rest
-            * (np.float32(4) * texture + np.float32(1.62) * (hessian - texture))
-            / square(texture)
-        )
-        x = sx / spp
-        y = sy / spp
+        shared = _SMOOTHED * texture + _SMOOTHED_NOISE * (hessian - texture)
+        variance = rest * shared / square(texture)
         s += min(max(step, -_LARGEST_DRIFT), _LARGEST_DRIFT)
-        if abs(step) < last_step:
+        x = at_x
+        y = at_y
+        if abs(step) < settings.last_step:
             break
     if abs(s - start) > _LARGEST_DRIFT:
-        return failed, variance, x, y
-    return s, variance, x, y
+        s = failed
+    return _Fit(s, variance, x, y)
+
+
+@njit(inline="always")
+def _start_values(own, other, gap):
+    """Start values of the two fits of a pair: that of each lens, or the mean of one surface."""
+    if np.isnan(own):
+        own = other
+    if np.isnan(other):
+        other = own
+    if same_surface(own, other, gap):
+        own = np.float32(0.5) * (own + other)
+        other = own
+    return own, other
+
+
+@njit(inline="always")
+def _store(fit, lens, d, k, sizes, variances, places):
+    sizes[lens, d, k] = fit.size
+    variances[lens, d, k] = fit.variance
+    places[lens, d, k, 0] = fit.x
+    places[lens, d, k, 1] = fit.y
 
 
 @kernel(error_model="numpy", share=lambda image, centres, *_: len(centres))
-def _fit_pairs(
-    begin,
-    end,
-    image,
-    centres,
-    radius,
-    pitch,
-    rows,
-    start,
-    scale2,
-    limits,
-    kinds,
-    sizes,
-    variances,
-    places,
-):
-    """Fit the pairs of each lens with its neighbours in `rows`; lenses blur alike if `kinds` is
-    None; last come `PairFits`.
+def _fit_pairs(begin, end, image, centres, types, rows, start, scale2, settings: _Settings, fits):
+    """Fit the pairs of each lens with its neighbours in `rows`, and write them into `PairFits`;
+    lenses blur alike if `types` is None.
     """
-    side, stride, size, columns, raster_rows = pixel_raster(radius)
-    pixels, (height, width), (noise2, iterations, last_step) = (
-        image.reshape(-1),
-        image.shape,
-        limits,
-    )
-    # Vector loops read values that have not been set: these must be numbers.
-    light = np.zeros(size, np.float32)
-    slope_x = np.zeros(size, np.float32)
-    slope_y = np.zeros(size, np.float32)
-    box = np.zeros(size, np.float32)
-    lines = np.zeros(size, np.float32)
-    shifted = np.zeros(size, np.float32)
-    laplacian = None if kinds is None else np.zeros(size, np.float32)
-    whole = np.full(2, NO_STEP)
+    sizes, variances, places = fits
+    radius = settings.radius
+    pitch = settings.pitch
+    gap = np.float32(TOLERANCE) * pitch
+    raster = pixel_raster(radius)
+    work = work_memory(raster)
+    terms = 4 if types is None else 6
+    sums = np.zeros((terms, terms), np.float32)
+    priors = np.zeros(terms, np.float32)
+    if types is not None:
+        priors[_BLUR:] = settings.noise2 / square(_BLUR_DIFFERENCE * pitch * pitch)
+    box_step = np.full(2, NO_STEP)
+    memory = work, sums, priors, box_step
+    pixels = image.reshape(-1)
+    shape = image.shape
+    none = _Fit(np.float32(np.nan), np.float32(np.inf), np.float32(0), np.float32(0))
     for lens in range(begin, end):
         ax = centres[lens, 0]
         ay = centres[lens, 1]
-        left = first_pixel(ax, radius, side, width)
-        top = first_pixel(ay, radius, side, height)
+        left = first_pixel(ax, radius, raster.side, shape[1])
+        top = first_pixel(ay, radius, raster.side, shape[0])
+        corner = left, top
         ready = False
         for d in range(rows.shape[1]):
             other = rows[lens, d]
-            for k in range(2):
-                sizes[lens, d, k] = np.nan
-                variances[lens, d, k] = np.inf
-                places[lens, d, k, 0] = places[lens, d, k, 1] = 0.0
             if other < 0 or (np.isnan(start[lens]) and np.isnan(start[other])):
+                _store(none, lens, d, 0, sizes, variances, places)
+                _store(none, lens, d, 1, sizes, variances, places)
                 continue
             if not ready:
-                cut_smoothed(
-                    pixels,
-                    height,
-                    width,
-                    side,
-                    stride,
-                    left,
-                    top,
-                    box,
-                    lines,
-                    light,
-                    slope_x,
-                    slope_y,
-                    laplacian,
-                )
-                ready, whole[:] = True, NO_STEP
-            # Start values of two fits, or the mean of what is one surface.
-            first = start[lens]
-            second = start[other]
-            first, second = (
-                second if np.isnan(first) else first,
-                first if np.isnan(second) else second,
-            )
-            together = same_surface(first, second, np.float32(TOLERANCE) * pitch)
-            if together:
-                first = np.float32(0.5) * (first + second)
-            for k in range(1 if together else 2):
-                s, variance, x, y = _fit_pair(
-                    pixels,
-                    (height, width),
-                    (side, stride),
-                    columns,
-                    raster_rows,
-                    (left, top),
-                    (ax, ay, centres[other, 0], centres[other, 1]),
-                    radius,
-                    pitch,
-                    first if k == 0 else second,
-                    max(scale2[lens], scale2[other]),
-                    light,
-                    slope_x,
-                    slope_y,
-                    laplacian,
-                    box,
-                    lines,
-                    shifted,
-                    whole,
-                    noise2,
-                    iterations,
-                    last_step,
-                )
-                sizes[lens, d, k], variances[lens, d, k] = s, variance
-                places[lens, d, k, 0], places[lens, d, k, 1] = x, y
-            if together:
-                sizes[lens, d, 1], variances[lens, d, 1] = sizes[lens, d, 0], variances[lens, d, 0]
-                places[lens, d, 1, 0], places[lens, d, 1, 1] = (
-                    places[lens, d, 0, 0],
-                    places[lens, d, 0, 1],
-                )
+                cut_smoothed(pixels, shape, raster, corner, types, work)
+                box_step[:] = NO_STEP
+                ready = True
+            pair = Pair(ax, ay, centres[other, 0], centres[other, 1], radius, pitch)
+            scale = max(scale2[lens], scale2[other])
+            starts = _start_values(start[lens], start[other], gap)
+            fit = none
+            for k in range(2):
+                if k == 0 or starts[1] != starts[0]:
+                    fit = _fit_pair(
+                        pixels,
+                        shape,
+                        raster,
+                        corner,
+                        pair,
+                        starts[k],
+                        scale,
+                        settings,
+                        types,
+                        memory,
+                    )
+                _store(fit, lens, d, k, sizes, variances, places)
 
 
 def fit_pairs(
@@ -377,25 +352,20 @@ def fit_pairs(
     missing = [max(0, int(2 * radius) + 2 * SPLINE_MARGIN - n) for n in image.shape]
     if any(missing):
         image = np.pad(image, [(0, n) for n in missing], "edge")
-    limits = np.float32(noise**2), iterations, np.float32(last_step)
+    settings = _Settings(
+        np.float32(radius),
+        np.float32(gray.pitch),
+        np.float32(noise**2),
+        iterations,
+        np.float32(last_step),
+    )
     shape = (*rows.shape, 2)
     fits = PairFits(
         np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty((*shape, 2), np.float32)
     )
-    _fit_pairs(
-        np.ascontiguousarray(image),
-        gray.centres,
-        np.float32(radius),
-        np.float32(gray.pitch),
-        rows,
-        start,
-        (scale * scale).astype(np.float32),
-        limits,
-        gray.lens_type,
-        *fits,
-    )
-    return (
-        PairFits(fits.patch_size * factor, fits.variance * factor**2, fits.place * factor)
-        if factor > 1
-        else fits
-    )
+    scale2 = (scale * scale).astype(np.float32)
+    image = np.ascontiguousarray(image)
+    _fit_pairs(image, gray.centres, gray.lens_type, rows, start, scale2, settings, fits)
+    if factor == 1:
+        return fits
+    return PairFits(fits.patch_size * factor, fits.variance * factor**2, fits.place * factor)

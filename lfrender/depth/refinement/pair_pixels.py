@@ -7,7 +7,7 @@ shift.
 
 from __future__ import annotations
 
-from collections import namedtuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -17,12 +17,23 @@ from lfcal.runtime.kernels import FAST
 from ...flat.microimages import copy_box
 
 __all__ = [
+    "COLUMN",
+    "LAPLACIAN",
+    "LIGHT",
     "NO_STEP",
+    "ROW",
+    "SHIFTED",
+    "SLOPE_X",
+    "SLOPE_Y",
     "SPLINE_MARGIN",
+    "Overlap",
+    "Pair",
+    "Raster",
     "cut_smoothed",
     "first_pixel",
     "pixel_raster",
     "resample_shifted",
+    "work_memory",
 ]
 
 # Vector loops run over whole multiples of this many pixels. Array places are unsigned integers:
@@ -35,17 +46,48 @@ _BEYOND = 2
 #: Step of a box that holds no microimage yet: no shift is this long [px].
 NO_STEP = 2**40
 
-# Pixels of a cut-out microimage, row after row: `side` of `stride` pixels in each row are used.
-# `size` is the length of arrays that vector loops may overrun; `columns` and `rows` (size,) are
-# float32.
-Raster = namedtuple("Raster", "side stride size columns rows")
+#: Rows of the work memory: place of each pixel in the cutout, brightness of the first microimage,
+#: its slopes, its Laplacian, brightness of the second microimage at the shift.
+COLUMN, ROW, LIGHT, SLOPE_X, SLOPE_Y, LAPLACIAN, SHIFTED = range(7)
+# A box with margin, and the same with its rows or columns smoothed.
+_BOX, _LINES = 7, 8
 
-# The part of a cutout that both microimages show. It lies within `number` places from `start` on.
-# `ux, uy` is the step between the lenses [pitches] and `r2` the squared radius. Places are relative
-# to the first pixel of the cutout: the centre of the first microimage (`ax, ay`) and of the second
-# one at its shift (`qx, qy`), the middle between them (`mx, my`), and the first and last column and
-# row.
-Overlap = namedtuple("Overlap", "start number ux uy ax ay qx qy mx my r2 low_x high_x low_y high_y")
+
+class Raster(NamedTuple):
+    """Pixels of a microimage that is cut out, row after row."""
+
+    side: int  # pixels of each row that are used, and rows
+    stride: int  # pixels of each row
+    size: int  # length of arrays that vector loops may overrun
+
+
+class Pair(NamedTuple):
+    """Two microimages [px]."""
+
+    ax: np.float32  # centre of the first one
+    ay: np.float32
+    bx: np.float32  # centre of the second one
+    by: np.float32
+    radius: np.float32
+    pitch: np.float32
+
+
+class Overlap(NamedTuple):
+    """The part of a cutout that both microimages show; places are relative to its first pixel."""
+
+    start: int  # first place
+    places: int  # number of places from there on, a multiple of the length of vector loops
+    ux: np.float32  # step from lens to lens [pitch]
+    uy: np.float32
+    ax: np.float32  # centre of the first microimage
+    ay: np.float32
+    qx: np.float32  # centre of the second one at its shift
+    qy: np.float32
+    radius2: np.float32
+    low_x: np.float32  # first and last column and row
+    high_x: np.float32
+    low_y: np.float32
+    high_y: np.float32
 
 
 @njit(fastmath=FAST, inline="always")
@@ -70,17 +112,24 @@ def _bspline_weights(f):
 
 @njit
 def pixel_raster(radius):
+    """The raster of microimages of a radius [px]."""
     side = int(2 * radius) + 1
     stride = side + SPLINE_MARGIN
-    size = (
-        max((side + SPLINE_MARGIN) * (stride + SPLINE_MARGIN), (side + 2 * _BEYOND) ** 2)
-        + 2 * _WHOLE
-    )
-    columns = np.empty(size, np.float32)
-    rows = np.empty(size, np.float32)
-    for k in range(size):
-        columns[k], rows[k] = k % stride, k // stride
-    return Raster(side, stride, size, columns, rows)
+    resampled = (side + SPLINE_MARGIN) * (stride + SPLINE_MARGIN)
+    smoothed = (side + 2 * _BEYOND) ** 2
+    return Raster(side, stride, max(resampled, smoothed) + 2 * _WHOLE)
+
+
+@njit
+def work_memory(raster):
+    """Work memory (rows, size) for a pair; vector loops read values that have not been set, which
+    must be numbers.
+    """
+    work = np.zeros((_LINES + 1, raster.size), np.float32)
+    for k in range(raster.size):
+        work[COLUMN, k] = k % raster.stride
+        work[ROW, k] = k // raster.stride
+    return work
 
 
 @njit(inline="always")
@@ -94,19 +143,20 @@ def first_pixel(centre, radius, side, size):
 # Without fast math: sums whose order it is free to choose would have other bits where the kernel is
 # compiled than where it is loaded.
 @njit(error_model="numpy", forceinline=True)
-def cut_smoothed(
-    pixels, height, width, side, stride, left, top, box, smooth, light, slope_x, slope_y, laplacian
-):
-    """Cut out a microimage from pixel (left, top) on, smoothed by (1, 4, 1) / 6 in both directions,
-    with slopes.
+def cut_smoothed(pixels, shape, raster, corner, types, work):
+    """Cut out a microimage from pixel `corner` on, smoothed by (1, 4, 1) / 6 in both directions,
+    with its slopes, and its Laplacian unless `types` is None.
     """
-    across = side + 2 * _BEYOND
+    height, width = shape
+    across = raster.side + 2 * _BEYOND
     half = np.float32(0.5)
     one = np.uint64(1)
     two = np.uint64(2)
-    first = left - _BEYOND
+    box = work[_BOX]
+    smooth = work[_LINES]
+    first = corner[0] - _BEYOND
     for row in range(across):
-        at = min(max(top - _BEYOND + row, 0), height - 1) * width
+        at = min(max(corner[1] - _BEYOND + row, 0), height - 1) * width
         into = np.uint64(row * across)
         if first < 0 or first + across > width:
             for k in range(across):
@@ -122,54 +172,61 @@ def cut_smoothed(
     # Values between the end of one row and the beginning of the next are not used.
     for k in range(np.uint64(across * (across - 2) - 2)):
         box[k] = weight * (smooth[k] + four * smooth[k + one] + smooth[k + two])
-    for row in range(side):
+    for row in range(raster.side):
         middle = np.uint64((row + 1) * across + 1)
-        into = np.uint64(row * stride)
-        for k in range(np.uint64(side)):
-            light[into + k] = box[middle + k]
-            slope_x[into + k] = half * (box[middle + one + k] - box[middle - one + k])
-            slope_y[into + k] = half * (box[middle + line + k] - box[middle - line + k])
-        if laplacian is not None:
-            for k in range(np.uint64(side)):
-                beside = (box[middle + one + k] + box[middle - one + k]) + (
-                    box[middle + line + k] + box[middle - line + k]
-                )
-                laplacian[into + k] = beside - four * box[middle + k]
+        into = np.uint64(row * raster.stride)
+        # Each loop writes one row: the compiler checks few arrays for being others.
+        for k in range(np.uint64(raster.side)):
+            work[LIGHT, into + k] = box[middle + k]
+        for k in range(np.uint64(raster.side)):
+            work[SLOPE_X, into + k] = half * (box[middle + one + k] - box[middle - one + k])
+        for k in range(np.uint64(raster.side)):
+            work[SLOPE_Y, into + k] = half * (box[middle + line + k] - box[middle - line + k])
+        for k in range(np.uint64(raster.side) if types is not None else np.uint64(0)):
+            beside = (box[middle + one + k] + box[middle - one + k]) + (
+                box[middle + line + k] + box[middle - line + k]
+            )
+            work[LAPLACIAN, into + k] = beside - four * box[middle + k]
 
 
 @njit(fastmath=FAST, error_model="numpy", forceinline=True)
-def _mean_of_four(values, start, apart, count, c0, c1, c2, c3, out):
+def _mean_of_four(work, source, target, start, apart, count, weights):
     """Weighted sums of four values that lie `apart` from each other, for `count` places."""
+    c0, c1, c2, c3 = weights
     first = np.uint64(start)
     second = np.uint64(start + apart)
     third = np.uint64(start + 2 * apart)
     fourth = np.uint64(start + 3 * apart)
     for k in range(np.uint64(count)):
-        out[first + k] = (c0 * values[first + k] + c1 * values[second + k]) + (
-            c2 * values[third + k] + c3 * values[fourth + k]
+        work[target, first + k] = (c0 * work[source, first + k] + c1 * work[source, second + k]) + (
+            c2 * work[source, third + k] + c3 * work[source, fourth + k]
         )
 
 
-@njit(fastmath=FAST, error_model="numpy", forceinline=True)
-def resample_shifted(
-    pixels, size, shape, corner, centres, radius, s, pitch, box, lines, shifted, step
-):
-    """Fill `shifted` with the second of two microimages at the pixels of the first, and return the
-    `Overlap`.
+@njit(inline="always")
+def _whole(count):
+    """The multiple of the length of vector loops from a count on."""
+    return (count + _WHOLE - 1) // _WHOLE * _WHOLE
 
-    The lenses have their `centres` at (ax, ay, bx, by), and the scene between them has the patch
-    size `s`; the first is cut out from pixel `corner` on. Work memory: the other one in a `box`,
-    its rows interpolated in `lines`, and the whole `step` (2,) for which the box was copied.
+
+@njit(fastmath=FAST, error_model="numpy", forceinline=True)
+def resample_shifted(pixels, shape, raster, corner, pair, s, work, step):
+    """Interpolate the second of two microimages at the pixels of the first, which is cut out from
+    pixel `corner` on, and return their `Overlap`.
+
+    The scene between both lenses has the patch size `s` [px]. `step` (2,) is the whole shift of the
+    box that the work memory holds.
     """
-    (height, width), (side, stride), (left, top), (ax, ay, bx, by) = size, shape, corner, centres
+    height, width = shape
+    left, top = corner
+    side, stride, _ = raster
+    ax, ay, bx, by, radius, pitch = pair
     ux = (bx - ax) / pitch
     uy = (by - ay) / pitch
     tx = bx - ax + s * ux
     ty = by - ay + s * uy
     x0 = int(np.floor(tx))
     y0 = int(np.floor(ty))
-    cx0, cx1, cx2, cx3 = _bspline_weights(np.float32(tx - x0))
-    cy0, cy1, cy2, cy3 = _bspline_weights(np.float32(ty - y0))
     qx = bx - tx
     qy = by - ty
     begin = max(int(np.ceil(max(ay, qy) - radius)), max(1, 1 - y0), top)
@@ -179,21 +236,16 @@ def resample_shifted(
     if end >= begin:
         # Most iterations stay between the same pixels.
         if step[0] != x0 or step[1] != y0:
-            copy_box(pixels, width, left + x0 - 1, top + y0 - 1, side + SPLINE_MARGIN, stride, box)
-            step[0], step[1] = x0, y0
-        count = ((end + 1 - begin) * stride + _WHOLE - 1) // _WHOLE * _WHOLE
-        _mean_of_four(
-            box,
-            start,
-            1,
-            count + (3 * stride + _WHOLE - 1) // _WHOLE * _WHOLE,
-            cx0,
-            cx1,
-            cx2,
-            cx3,
-            lines,
-        )
-        _mean_of_four(lines, start, stride, count, cy0, cy1, cy2, cy3, shifted)
+            rows = side + SPLINE_MARGIN
+            copy_box(pixels, width, left + x0 - 1, top + y0 - 1, rows, stride, work[_BOX])
+            step[0] = x0
+            step[1] = y0
+        count = _whole((end + 1 - begin) * stride)
+        across = _bspline_weights(np.float32(tx - x0))
+        down = _bspline_weights(np.float32(ty - y0))
+        further = count + _whole(SPLINE_MARGIN * stride)
+        _mean_of_four(work, _BOX, _LINES, start, 1, further, across)
+        _mean_of_four(work, _LINES, SHIFTED, start, stride, count, down)
     x = np.float32(left)
     y = np.float32(top)
     return Overlap(
@@ -205,8 +257,6 @@ def resample_shifted(
         ay - y,
         qx - x,
         qy - y,
-        np.float32(0.5) * (ax + qx) - x,
-        np.float32(0.5) * (ay + qy) - y,
         radius * radius,
         np.float32(max(1, 1 - x0) - left),
         np.float32(min(width - 2 - left, width - 3 - x0 - left, side - 1)),

@@ -15,6 +15,7 @@ from lfcal.runtime.kernels import kernel
 
 from ...flat.gray_flat import GrayFlat
 from ...flat.neighbours import Neighbours
+from .least_squares import add_point, geman_mcclure, no_points, solve_plane
 from .lens_plane import LensFits
 
 __all__ = ["smooth_fits"]
@@ -25,9 +26,10 @@ __all__ = ["smooth_fits"]
 # model, which checks them.
 @njit(error_model="numpy")
 def _predict(count, near, slant_known):
-    """What `count` neighbours predict of a lens by a weighted plane: difference from its size, its
-    variance, mean variance; difference of slant, and its variance. Rows of `near` are as `_smooth`
-    fills them.
+    """What `count` neighbours predict of a lens by a weighted plane: difference from its size, and
+    of its slant with the opposite sign; variance of their unevenness; mean variance of them.
+
+    Rows of `near` are as `_smooth` fills them.
     """
     away = near[0]
     variance = near[1]
@@ -35,54 +37,31 @@ def _predict(count, near, slant_known):
     along_x = near[3]
     along_y = near[4]
     weights = near[5]
-    uneven = height = inverse = total = x_slant = y_slant = slanted = 0.0
-    for turn in range(4):
+    uneven = 0.0
+    turn = 0
+    while True:
         for k in range(np.uint64(count)):
             weights[k] = share[k] / (variance[k] + uneven)
-        squares = a = b = c = d = e = f = p = q = r = 0.0
+        sums = no_points(0.0)
+        squares = 0.0
         for k in range(np.uint64(count)):
-            w = weights[k]
-            x = along_x[k]
-            y = along_y[k]
-            rest = away[k]
-            wx = w * x
-            wy = w * y
-            wr = w * rest
-            squares += w * w
-            a += w
-            b += wx
-            c += wy
-            d += wx * x
-            e += wx * y
-            f += wy * y
-            p += wr
-            q += wr * x
-            r += wr * y
-        total = a
-        d += slant_known
-        f += slant_known
-        i00 = d * f - e * e
-        i01 = c * e - b * f
-        i02 = b * e - c * d
-        i11 = a * f - c * c
-        i12 = b * c - a * e
-        i22 = a * d - b * b
-        over = 1 / (a * i00 + b * i01 + c * i02)
-        height = (i00 * p + i01 * q + i02 * r) * over
-        inverse = i00 * over
-        x_slant = (i01 * p + i11 * q + i12 * r) * over
-        y_slant = (i02 * p + i12 * q + i22 * r) * over
-        slanted = 0.5 * (i11 + i22) * over
-        if turn == 3:
-            break
+            squares += weights[k] * weights[k]
+            sums = add_point(sums, weights[k], along_x[k], along_y[k], away[k])
+        plane = solve_plane(sums, slant_known)
+        turn += 1
+        if turn == 4:
+            return plane, uneven, count / sums.weight
         scatter = number = 0.0
         for k in range(np.uint64(count)):
-            rest = away[k] - height - x_slant * along_x[k] - y_slant * along_y[k]
+            expected = plane.height + plane.slope_x * along_x[k] + plane.slope_y * along_y[k]
+            rest = away[k] - expected
             scatter += weights[k] * rest * rest
             number += share[k]
-        freedom = number - 1 - (1 - i11 * over * slant_known) - (1 - i22 * over * slant_known)
-        uneven += max(scatter - freedom + 1, 0.0) / max(a - squares / a, 1e-9)
-    return height, inverse + uneven, count / total, -x_slant, -y_slant, slanted
+        own_x = 1 - plane.slope_x_variance * slant_known
+        own_y = 1 - plane.slope_y_variance * slant_known
+        freedom = number - 1 - own_x - own_y
+        spread = sums.weight - squares / sums.weight
+        uneven += max(scatter - freedom + 1, 0.0) / max(spread, 1e-9)
 
 
 @kernel(error_model="numpy", share=lambda centres, *_: len(centres))
@@ -124,27 +103,29 @@ def _smooth(
                 * rest
                 / (own_variance + noise + slant_variance * size * size * (x * x + y * y))
             )
-            doubt = 1 / (1 + apart / outlier2)
             # Lenses twice as far off belong to another surface.
-            counts = (
-                doubt * doubt * max(1 - apart / (4 * outlier2), 0.0) * trust[lens] * trust[other]
-            )
-            near[0, count], near[1, count], near[2, count] = rest, noise, counts
-            near[3, count], near[4, count] = size * x, size * y
+            counts = geman_mcclure(apart, outlier2) * max(1 - apart / (4 * outlier2), 0.0)
+            counts *= trust[lens] * trust[other]
+            near[0, count] = rest
+            near[1, count] = noise
+            near[2, count] = counts
+            near[3, count] = size * x
+            near[4, count] = size * y
             weight += counts
             count += 1
         out[lens, 5] = weight / max(np.float64(count), 1.0)
         if weight <= 0:
             continue
-        predicted, spread, shared, x_slant, y_slant, slanted = _predict(
-            count, near, 1 / slant_variance
-        )
+        plane, uneven, shared = _predict(count, near, 1 / slant_variance)
+        predicted = plane.height
+        spread = plane.height_variance + uneven
         if predicted * predicted > outlier2 * (spread + own_variance):
             continue
         out[lens, 0] = own + own_variance / (own_variance + spread) * predicted
-        out[lens, 2] += x_slant
-        out[lens, 3] += y_slant
-        out[lens, 4] = np.sqrt(slanted)
+        # Where a neighbour expects a larger size than it has, the lens slants less.
+        out[lens, 2] -= plane.slope_x
+        out[lens, 3] -= plane.slope_y
+        out[lens, 4] = np.sqrt(0.5 * (plane.slope_x_variance + plane.slope_y_variance))
         joint = own_variance * spread / (own_variance + spread)
         # Neighbours share pixels and pairs, and all lenses of a surface err by 0.0022 px together
         # (ray-traced scenes).
