@@ -12,7 +12,7 @@ from ..camera.calibration import Calibration
 from ..gain.gain_map import nearest_half
 from ..lens_blur.microimages import MicroimageField
 from .alignment import Alignment
-from .result import Finding
+from .result import SURE, Finding
 
 __all__ = [
     "LEAST_GAP",
@@ -27,9 +27,7 @@ __all__ = [
 ]
 
 Vector = NDArray[np.float64]
-# [standard errors] A smaller value counts as zero; a larger difference of two measurements is a
-# contradiction.
-SURE = 2.0
+# [standard errors] A larger difference of two measurements is a contradiction.
 _APART = 4.0
 # Error of the radii where microimages overlap [px]: up to 0.21 on simulated cameras.
 _OVERLAP_FAULT = 0.15

@@ -118,7 +118,7 @@ def find_exposure(flat: NDArray[Any], top: float | None) -> Finding:
     if bright < 0.25:
         longer = f"expose up to {_WELL_EXPOSED / max(bright, 1e-6):.2g} times longer"
         return told(f"under-exposed: bright pixels have {bright:.1%} of {top:g}", longer)
-    return told(f"of {top:g}: well exposed")
+    return told(f"of the largest value, {top:g}: well exposed")
 
 
 def _lens_light(seen: Seen) -> Field:

@@ -28,21 +28,40 @@ _DRAWN_ANGLE = 10
 _TILE = 100
 # Range of an axis over that of its data.
 _MARGIN = 1.1
+# What the figure of a finding is, as its heading says; the names of others say it.
+_MEANINGS = {
+    "distance": "rims blurred over",
+    "apertures": "gaps of",
+    "vignetting": "cut in the corners by",
+    "exposure": "bright pixels have",
+    "evenness": "one side brighter by",
+    "scene, place": "moved by",
+    "scene, exposure": "bright pixels have",
+}
 
 
 def write_assessment(path: str | os.PathLike[str], found: Assessment, title: str) -> None:
     """See `Assessment.write_page`."""
     check_output(path, {".html", ".htm"})
     findings = []
+    blur = found.calibration.lens_blur
     for name, finding in found.grouped():
         drawing = ""
-        if name in _DRAWINGS and finding.measured:
+        # A flat without dirt is an empty frame.
+        if name in _DRAWINGS and finding.measured and (name != "dirt" or finding.value > 0):
             drawing = _draw(_DRAWINGS[name], found)
-        if name == "distance" and found.calibration.lens_blur is not None:
+        # One depth alone, that of the rims, is what the heading says.
+        if name == "distance" and blur is not None and len(blur.ratios) > 1:
             drawing += _draw(_draw_blur, found)
         findings.append((name, finding, drawing))
-    template = Path(__file__).with_name("assets") / "assessment.html"
-    write_page(path, template, title=title, camera=found.calibration, findings=findings)
+    write_page(
+        path,
+        Path(__file__).with_name("assets") / "assessment.html",
+        title=title,
+        camera=found.calibration,
+        findings=findings,
+        meanings=_MEANINGS,
+    )
 
 
 def _draw(draw: Callable[[Any, Assessment], None], found: Assessment) -> str:
@@ -82,7 +101,7 @@ def _draw_tilt(axes: Any, found: Assessment) -> None:
         "radius of the microimages [px]",
         _TILE,
     )
-    if np.isfinite(slope).all():
+    if found.tilt.is_seen:
         way = slope / max(float(np.hypot(*slope)), 1e-12) * half / 3
         axes.annotate(
             "", middle + way, middle - way, arrowprops={"arrowstyle": "->", "color": "firebrick"}
@@ -179,9 +198,10 @@ def _map(
     axes: Any, found: Assessment, places: Any, values: Any, title: str, size: float = 6
 ) -> None:
     every = evenly(len(places), ENOUGH_LENSES)
-    axes.figure.colorbar(
-        axes.scatter(*places[every].T, c=values[every], s=size, cmap="viridis"), ax=axes
-    )
+    drawn = axes.scatter(*places[every].T, c=values[every], s=size, cmap="viridis")
+    bar = axes.figure.colorbar(drawn, ax=axes)
+    # Whole values, not what they exceed another number by.
+    bar.formatter.set_useOffset(False)
     _frame(axes, found, title)
 
 

@@ -13,7 +13,10 @@ from numpy.typing import NDArray
 from ..camera.calibration import Calibration
 from ..runtime.page import html_table
 
-__all__ = ["Assessment", "Finding"]
+__all__ = ["SURE", "Assessment", "Finding"]
+
+# [standard errors] A smaller value counts as zero.
+SURE = 2.0
 
 
 @dataclass(frozen=True)
@@ -54,7 +57,12 @@ class Finding:
         if not 0 < self.error < np.inf:
             return f"{self.value:.4g} {self.unit}"
         digits = int(np.clip(1 - np.floor(np.log10(self.error)), 0, 4))
-        return f"{self.value:.{digits}f} +- {self.error:.{digits}f} {self.unit}"
+        return f"{self.value:z.{digits}f} +- {self.error:.{digits}f} {self.unit}"
+
+    @property
+    def is_seen(self) -> bool:
+        """Whether the value is surely not zero."""
+        return abs(self.value) > SURE * self.error
 
     def __str__(self) -> str:
         advice = ""

@@ -90,7 +90,7 @@ def assess(
     >>> sample = lfrender.data.house(size=(400, 300), samples=2)
     >>> found = lfcal.assess(sample.white, f_number=4)
     >>> found.exposure.verdict
-    'of 255: well exposed'
+    'of the largest value, 255: well exposed'
     """
     for name, value in (
         ("f_number", f_number),

@@ -10,11 +10,14 @@ import click
 
 from ..runtime import command_line as cl
 from ..runtime.output_file import check_output
-from .figures import describe, summarise
+from .figures import describe, describe_blur, summarise
 from .inputs import SIZE_OPTIONS, read_camera, read_image, read_size
 from .results import CameraResult, CompareResult, ConvertResult
 
 __all__ = ["compare", "convert", "info"]
+
+# Figures that only `--json` prints; "proof" tells the evidence in words.
+_FOR_PROGRAMS = ("evidence", "warnings")
 
 
 @cl.command("lfcal info camera.json", "lfcal info calibration.xml --image flat.png")
@@ -31,7 +34,11 @@ def info(report: cl.Report, given: Any) -> None:
 
         warnings = check_camera(pixels, camera).warnings
         camera = replace(camera, warnings=(*camera.warnings, *warnings))
-    report.finish({"camera": str(given.camera), **describe(camera)})
+    figures = {"camera": str(given.camera), **describe(camera)}
+    shown = {name: value for name, value in figures.items() if name not in _FOR_PROGRAMS}
+    if camera.lens_blur is not None:
+        shown["lens_blur"] = describe_blur(camera.lens_blur)
+    report.finish(figures, *cl.table(shown))
 
 
 @cl.command("lfcal compare monday.json friday.json")

@@ -24,6 +24,11 @@ _CROP = 6
 # Line widths [points]: a dark line below a light one is visible on any background.
 _LINE = 1
 _SHADOW = 3
+# Left end of the heading, as a share of the width: not at the border of the picture.
+_LEFT = 0.01
+# A lens farther than this from the lattice is worth a look [pitch]; a smaller limit also names
+# lenses whose distance nobody sees on the crops.
+_FAR = 0.02
 
 
 class PlaceToCheck(NamedTuple):
@@ -72,7 +77,7 @@ def show(calibration: Calibration, image: ArrayLike) -> NDArray[np.uint8]:
     crops[last] = np.clip(places[0].position, first, end) if places else end
     figure = Figure((16, 12), dpi=100, layout="constrained")
     canvas = FigureCanvasAgg(figure)
-    figure.suptitle(_describe(calibration, fit), x=0, ha="left", size="x-large")
+    figure.suptitle(_describe(calibration, fit), x=_LEFT, ha="left", size="x-large")
     axes = figure.subplot_mosaic(
         [
             ["top left", "centre", "top right"],
@@ -117,9 +122,12 @@ def find_places_to_check(calibration: Calibration, flat: Array) -> list[PlaceToC
             "see whether they are microimages or scene"
         )
         found = np.column_stack([circles.centres, circles.radii])
-        places.append(PlaceToCheck(worst, sentence, found))
+        if off:
+            places.append(PlaceToCheck(worst, sentence, found))
+    beside = np.zeros(1)
     if residuals is not None and len(residuals.offset):
         beside = np.hypot(*residuals.offset.T)
+    if residuals is not None and beside.max() > _FAR * lattice.pitch:
         i, j = index = residuals.indices[beside.argmax()]
         place = lattice.points(index[None])[0]
         sentence = (
@@ -147,7 +155,7 @@ def _describe(calibration: Calibration, fit: FitCheck) -> str:
     kinds = "" if types is None else f"{types.count} lens types, "
     width, height = calibration.image_size
     return (
-        f"{shape}, rows {rows}, pitch {lattice.pitch:.4f} px, rotation {turned:+.4f} deg, "
+        f"{shape}, rows {rows}, pitch {lattice.pitch:.4f} px, rotation {turned:+z.4f} degrees, "
         f"usable radius {lattice.radius:.2f} px, {len(lattice)} lenses\n"
         f"{width} x {height} px, {kinds}from {calibration.source}{residual}, "
         f"confidence {calibration.confidence_text}; {off}"
@@ -201,8 +209,11 @@ def _draw_misfit(axes: Any, calibration: Calibration, fit: FitCheck) -> None:
     offset = fit.offset.reshape(-1, 2)
     if np.nan_to_num(offset).any():
         axes.quiver(*positions.T, *offset.T, angles="xy", color="firebrick")
-    for place, length in zip(positions, np.hypot(*offset.T), strict=True):
-        axes.annotate("?" if np.isnan(length) else f"{length:.2g}", place)
+    # Figures stand inside the frame.
+    across, down = np.meshgrid(("left", "center", "right"), ("top", "center", "bottom"))
+    figures = zip(positions, np.hypot(*offset.T), across.flat, down.flat, strict=True)
+    for place, length, ha, va in figures:
+        axes.annotate("?" if np.isnan(length) else f"{length:.2g}", place, ha=ha, va=va)
     axes.set_title("Offset of this flat from the lattice [px] (red), residuals of the fit", size=10)
     # The corners need room for their figures.
     axes.margins(0.1)

@@ -20,9 +20,8 @@ from .next_pose import suggest_poses
 __all__ = ["write_metric_report"]
 
 _Rows = Sequence[tuple[str, ...]]
-# [inch] Width of figures, and place of the key of arrows over the axes.
-_WIDTH = 8
-_KEY = (0.9, 1.03)
+# [inch] Width of figures: their text can be read on a phone, which shows them at this width.
+_WIDTH = 4.4
 
 
 def write_metric_report(
@@ -40,6 +39,7 @@ def write_metric_report(
         far=far,
         parameters=_parameters(found),
         poses=_poses(found),
+        colours=_colours(found),
         depths=_depths(found),
         reliability=_reliability(found),
         next=suggest_poses(found),
@@ -66,9 +66,11 @@ def _parameters(found: MetricCalibration) -> _Rows:
                 value = np.rad2deg(value)
                 error = np.rad2deg(error)
                 unit = "degrees"
-            rows.append((name.replace("_", " "), f"{value:.6g}", f"{error:.2g}", unit))
+            digits = max(0, int(1 - np.floor(np.log10(error))))
+            known = f"{value:z.{digits}f} \u00b1 {error:.{digits}f}"
+            rows.append((name.replace("_", " "), known, unit))
     focal = enumerate(optics.microlens_focal_lengths)
-    return rows + [(f"focal length of lens type {k}", f"{f:.5g}", "", "mm") for k, f in focal]
+    return rows + [(f"focal length of lens type {k}", f"{f:.5g}", "mm") for k, f in focal]
 
 
 def _poses(found: MetricCalibration) -> _Rows:
@@ -102,8 +104,9 @@ def _depths(found: MetricCalibration) -> _Rows:
         offset = found.observations.position[mine] - found.observations.centre[mine]
         stretch = 100 * float((offset * found.residual[mine]).sum() / max((offset**2).sum(), 1e-12))
         pose = found.poses[m]
-        shift = f"{mean[0]:+.4f}, {mean[1]:+.4f}"
-        rows.append((f"{pose.translation[2]:.1f}", f"{pose.rms:.4f}", shift, f"{stretch:+.4f} %"))
+        right, down = (f"{value:z.4f}" for value in mean)
+        distance = f"{pose.translation[2]:.1f}"
+        rows.append((distance, f"{pose.rms:.4f}", right, down, f"{stretch:z.4f} %"))
     return rows
 
 
@@ -120,22 +123,29 @@ def _reliability(found: MetricCalibration) -> _Rows:
     ]
 
 
+def _colours(found: MetricCalibration) -> list[str]:
+    """A colour for each pose, from near to far."""
+    from matplotlib import colormaps
+    from matplotlib.colors import to_hex
+
+    order = np.argsort(np.argsort([pose.translation[2] for pose in found.poses]))
+    return [to_hex(colour) for colour in colormaps["turbo"]((order + 0.5) / len(order))]
+
+
 def _draw_poses(found: MetricCalibration) -> str:
-    """Boards seen from above and from the side."""
+    """Boards seen from above and from the side, in the colours of the table."""
     from matplotlib.figure import Figure
 
-    figure = Figure((_WIDTH, 5), layout="constrained")
+    figure = Figure((_WIDTH, _WIDTH), layout="constrained")
     points = found.board.points.reshape(found.board.rows, found.board.columns, 3)
     rim = points[[0, 0, -1, -1, 0], [0, -1, -1, 0, 0]]
     for axis, (axes, name) in enumerate(
         zip(figure.subplots(2, sharex=True), ("above", "the side"), strict=True)
     ):
-        axes.plot(0, 0, "ko")
-        for number, pose in enumerate(found.poses):
+        for number, (pose, colour) in enumerate(zip(found.poses, _colours(found), strict=True)):
             outline = pose.place(rim) / 1000
-            (line,) = axes.plot(outline[:, 2], outline[:, axis], gid=f"pose-{number}-{axis}")
-            axes.fill(outline[:, 2], outline[:, axis], alpha=0.25, color=line.get_color())
-            axes.annotate(pose.name, outline[0, [2, axis]], fontsize="x-small")
+            axes.fill(outline[:, 2], outline[:, axis], alpha=0.25, color=colour)
+            axes.plot(outline[:, 2], outline[:, axis], color=colour, gid=f"pose-{number}-{axis}")
         axes.set(title=f"from {name}", ylabel="x [m]" if axis == 0 else "y [m]")
     axes.invert_yaxis()
     axes.set_xlabel("distance from the camera [m]")
@@ -157,19 +167,16 @@ def _draw_field(found: MetricCalibration) -> str:
     kept = count >= 5
     figure = Figure((_WIDTH, _WIDTH * height / width), layout="constrained")
     axes = figure.subplots()
-    # The title keeps room for the key.
+    longest = 0.0
+    if kept.any():
+        longest = float(np.hypot(*means[kept].T).max())
     axes.set(
         xlim=(0, width),
         ylim=(height, 0),
         aspect="equal",
         xlabel="x [px]",
         ylabel="y [px]",
-        title=" ",
+        title=f"the longest arrow is {longest:.2g} px",
     )
-    arrows = axes.quiver(
-        *((key[kept] + 0.5) * side).T, *means[kept].T, angles="xy", color="firebrick"
-    )
-    if kept.any():
-        largest = float(np.hypot(*means[kept].T).max())
-        axes.quiverkey(arrows, *_KEY, largest, f"{largest:.2g} px", labelpos="W")
+    axes.quiver(*((key[kept] + 0.5) * side).T, *means[kept].T, angles="xy", color="firebrick")
     return to_svg(figure)

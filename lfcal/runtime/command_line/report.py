@@ -126,16 +126,19 @@ class Report:
             return
         for warning in found.pop("warnings"):
             echo(f"warning: {warning}", err=True)
-        width = max(map(len, found)) + 2
-        table = (
-            f"{name.replace('_', ' '):{width}}{_text(value, width)}"
-            for name, value in found.items()
-        )
-        for line in () if self.quiet else sentences or table:
+        for line in () if self.quiet else sentences or table(found):
             self._echo(line)
 
     def _echo(self, line: str) -> None:
         echo(line, err=self.as_json or is_piped())
+
+
+def table(figures: Mapping[str, Any]) -> list[str]:
+    """Lines with the names of figures and their values."""
+    width = max(map(len, figures)) + 2
+    return [
+        f"{name.replace('_', ' '):{width}}{_text(value, width)}" for name, value in figures.items()
+    ]
 
 
 @contextmanager

@@ -147,7 +147,8 @@ def test_the_exposure_of_a_dim_scene_refers_to_a_range_that_is_known():
     assert "expose up to 19 times longer" in known.advice
     stated = find_exposure(scene, find_range([scene], 4095))
     assert (
-        stated.value == pytest.approx(66.8, rel=0.02) and stated.verdict == "of 4095: well exposed"
+        stated.value == pytest.approx(66.8, rel=0.02)
+        and stated.verdict == "of the largest value, 4095: well exposed"
     )
     clipped = np.minimum(dim(6000), 4095)
     assert "over-exposed" in find_exposure(clipped, find_range([clipped])).verdict
@@ -189,15 +190,24 @@ def test_the_command_writes_a_page_without_network_and_all_figures(overlapping, 
     ]
     assert list(found) == names and found["tilt"]["value"] is None
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
-    measured = [one for one in found.values() if one["value"] is not None]
-    assert page.count("<svg") == len(measured) and "src=" not in page and "@import" not in page
+    # Without dirt there is nothing to draw.
+    drawn = [
+        one for one in found.values() if one["value"] is not None and one["verdict"] != "clean"
+    ]
+    assert page.count("<svg") == len(drawn) and "src=" not in page and "@import" not in page
 
 
 def test_the_page_draws_the_blur_of_each_lens_type(assessed, tmp_path):
     camera = replace(assessed.calibration, lens_blur=None)
     replace(assessed, calibration=camera).write_page(tmp_path / "plain.html")
     blur = lfcal.LensBlur(
-        6.0, 0.3, [0.1, 0.3], [0.01, 0.01], [-0.2], [[1.8], [3.0]], [[0.1], [0.1]]
+        6.0,
+        0.3,
+        [0.1, 0.3],
+        [0.01, 0.01],
+        [-0.2, 0.0],
+        [[1.8, 0.6], [3.0, 1.8]],
+        0.1 * np.ones((2, 2)),
     )
     camera = replace(camera, lens_blur=blur)
     replace(assessed, calibration=camera).write_page(tmp_path / "blur.html")
@@ -206,3 +216,27 @@ def test_the_page_draws_the_blur_of_each_lens_type(assessed, tmp_path):
     )
     assert drawn.count("<svg") == plain.count("<svg") + 1
     assert "type 2" in drawn and "blur [px]" in drawn
+    # The heading tells the figure of one depth alone.
+    rims = lfcal.LensBlur(6.0, 24.0, [0.1], [0.1], [0.0], [[0.6]], [[0.4]])
+    camera = replace(camera, lens_blur=rims)
+    replace(assessed, calibration=camera).write_page(tmp_path / "rims.html")
+    text = (tmp_path / "rims.html").read_text(encoding="utf-8")
+    assert text.count("<svg") == plain.count("<svg") and "Distance: rims blurred over" in text
+
+
+def test_a_tilt_that_is_not_seen_has_no_arrow_and_bars_show_whole_values(assessed, monkeypatch):
+    from matplotlib.figure import Figure
+
+    from lfcal.assessment.page import _draw_tilt
+
+    for value, arrows in ((0.001, 0), (1.0, 1)):
+        figure = Figure()
+        axes = figure.subplots()
+        _draw_tilt(axes, replace(assessed, tilt=replace(assessed.tilt, value=value, error=0.01)))
+        assert len(axes.texts) == arrows
+        figure.draw_without_rendering()
+        assert figure.axes[1].yaxis.get_offset_text().get_text() == ""
+
+
+def test_a_value_that_rounds_to_zero_has_no_sign():
+    assert lfcal.Finding(-1e-6, 0.0007, "degrees", "").measured == "0.0000 +- 0.0007 degrees"

@@ -76,6 +76,19 @@ def test_the_page_shows_errors_poses_residuals_and_advice_without_network(found,
     )
 
 
+def test_values_stand_beside_their_errors_and_none_is_a_negative_zero(found, tmp_path):
+    write_metric_report(tmp_path / "page.html", found)
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert re.search(r"<td>focal length</td><td>\d+\.\d+ \u00b1 \d", page)
+    assert "+-" not in page and "e+0" not in page
+    assert not re.search(r"<td>-0\.0+( %)?</td>", page)
+    # Each row has the colour of its board, and text of the drawings can be read at 390 px.
+    colours = re.findall(r"--colour:(#\w{6})", page)
+    assert len(set(colours)) == 5 and all(f"stroke: {colour}" in page for colour in colours)
+    widths = [float(width) for width in re.findall(r'<svg[^>]*? width="([\d.]+)pt"', page)]
+    assert widths and max(widths) < 330
+
+
 def test_boards_far_away_ask_for_a_near_one(found):
     first, *_ = suggested = suggest_poses(found)
     assert len(set(suggested)) == 3
