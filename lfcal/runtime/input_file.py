@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 import stat
-from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from io import BytesIO, TextIOWrapper
+from json import detect_encoding
 
 from .arrays import LARGEST_BLOCK
 from .errors import check_path
@@ -37,7 +37,7 @@ def open_regular(path: str | os.PathLike[str]) -> int:
 
 
 def read_text(path: str | os.PathLike[str]) -> str:
-    """The text of a file in UTF-8, with or without a byte order mark, or in UTF-16 with one.
+    """The text of a file in UTF-8, UTF-16 or UTF-32, with or without a byte order mark.
 
     OSError if it has more than `LARGEST_TEXT` bytes.
     """
@@ -46,8 +46,5 @@ def read_text(path: str | os.PathLike[str]) -> str:
         if size > LARGEST_TEXT:
             raise OSError(f"has {size / 1e6:,.0f} MB, more than any such file")
         data = stream.read()
-    encoding = "utf-8-sig"
-    if data.startswith((BOM_UTF16_LE, BOM_UTF16_BE)):
-        encoding = "utf-16"
-    with TextIOWrapper(BytesIO(data), encoding) as text:
+    with TextIOWrapper(BytesIO(data), detect_encoding(data)) as text:
         return text.read()

@@ -60,17 +60,25 @@ def _temporary(target: Path) -> Iterator[Path]:
     temporary = target.with_name(f".{target.stem}.{secrets.token_hex(4)}{target.suffix}")
     _UNFINISHED.add(temporary)
     try:
-        temporary.open("xb").close()
-        yield temporary
-    except OutputError:
-        raise
-    except OSError as error:
-        raise OutputError(f"{target}: cannot be written ({error.strerror or error})") from error
+        with _output_errors(target, "written"):
+            temporary.open("xb").close()
+            yield temporary
     finally:
         # A missing or read-only folder is reported above.
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
         _UNFINISHED.discard(temporary)
+
+
+@contextmanager
+def _output_errors(target: str | os.PathLike[str], what: str) -> Iterator[None]:
+    """Turn an OSError into an OutputError: the output cannot be written or made."""
+    try:
+        yield
+    except OutputError:
+        raise
+    except OSError as error:
+        raise OutputError(f"{target}: cannot be {what} ({error.strerror or error})") from error
 
 
 @contextmanager
@@ -86,14 +94,14 @@ def claim(output: str | os.PathLike[str]) -> Iterator[None]:
         return
     lock = target.with_name(f".{target.name}.lock")
     with ExitStack() as stack:
-        try:
-            stack.enter_context(file_lock(lock))
-        except BlockingIOError as error:
-            raise OutputError(
-                f"{output}: is being written by {error}; wait for its end, or give another output"
-            ) from error
-        except OSError as error:
-            raise OutputError(f"{output}: cannot be written ({error.strerror or error})") from error
+        with _output_errors(output, "written"):
+            try:
+                stack.enter_context(file_lock(lock))
+            except BlockingIOError as error:
+                raise OutputError(
+                    f"{output}: is being written by {error}; wait for its end, or give another "
+                    "output"
+                ) from error
         _UNFINISHED.add(lock)
         stack.callback(_UNFINISHED.discard, lock)
         stack.callback(_CLAIMED.reset, _CLAIMED.set(claimed | {target}))
@@ -196,8 +204,6 @@ def make_folder(path: str | os.PathLike[str], parents: bool = False) -> Path:
     OutputError if that fails.
     """
     target = check_folder(path, parents)
-    try:
+    with _output_errors(target, "made"):
         target.mkdir(parents=parents, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"{target}: cannot be made ({error.strerror or error})") from error
     return target

@@ -41,12 +41,10 @@ def rgb_pixels(frame: Any) -> NDArray[Any]:
     They are uint16 if the frame has more than 8 bits a colour, else uint8.
     """
     if max(component.bits for component in frame.format.components) <= 8:
-        return np.ascontiguousarray(convert_frame(frame, "rgb24").to_ndarray())
-    # Without the copies that `to_ndarray` makes.
-    plane = frame.reformat(format="rgb48le").planes[0]
-    rows = np.frombuffer(plane, "<u2").reshape(plane.height, plane.line_size // 2)
-    pixels = rows[:, : 3 * plane.width].reshape(plane.height, plane.width, 3)
-    return np.ascontiguousarray(pixels.astype(np.uint16, copy=False))
+        frame = convert_frame(frame, "rgb24")
+    else:
+        frame = frame.reformat(format="rgb48le")
+    return np.ascontiguousarray(frame.to_ndarray())
 
 
 def parse_pixel_format(text: str) -> tuple[str, str, int]:

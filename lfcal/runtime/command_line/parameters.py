@@ -6,7 +6,6 @@ therefore go through temporary files.
 
 from __future__ import annotations
 
-import math
 import os
 import re
 import sys
@@ -44,22 +43,38 @@ _Parameter = click.Parameter | None
 _Context = click.Context | None
 
 
-class Pair(click.ParamType):
-    """Two whole numbers with an x between them: `Pair("WxH", "2048x1536")`."""
+class _Word(click.ParamType):
+    """A value that `parse` makes of a word; its ValueError is told as what the word must be."""
 
-    def __init__(self, name: str, example: str) -> None:
-        self.name = name
-        self.example = example
+    name = "word"
+    wanted = "a word"
 
     def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
         return self.name
 
     def convert(self, value: Any, param: _Parameter, ctx: _Context) -> Any:
-        if isinstance(value, tuple):
+        if not isinstance(value, str):
             return value
-        found = re.fullmatch(r"\s*0*([1-9]\d{0,5})[xX]0*([1-9]\d{0,5})\s*", value)
+        try:
+            return self.parse(value)
+        except ValueError:
+            self.fail(f"must be {self.wanted}, got {value!r}", param, ctx)
+
+    def parse(self, word: str) -> Any:
+        raise NotImplementedError
+
+
+class Pair(_Word):
+    """Two whole numbers with an x between them: `Pair("WxH", "2048x1536")`."""
+
+    def __init__(self, name: str, example: str) -> None:
+        self.name = name
+        self.wanted = f"{name} such as {example}"
+
+    def parse(self, word: str) -> tuple[int, int]:
+        found = re.fullmatch(r"\s*0*([1-9]\d{0,5})[xX]0*([1-9]\d{0,5})\s*", word)
         if not found:
-            self.fail(f"must be {self.name} such as {self.example}, got {value!r}", param, ctx)
+            raise ValueError
         return int(found[1]), int(found[2])
 
 
@@ -79,45 +94,34 @@ class Quantity(click.FloatRange):
 _MOST_BALANCE = 100.0
 
 
-class ExposureValue(click.ParamType):
+class ExposureValue(_Word):
     """A brightness: a number of EV, or `auto`."""
 
     name = "EV|auto"
+    wanted = "auto, or a number of EV from -16 to 16"
 
-    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
-        return self.name
-
-    def convert(self, value: Any, param: _Parameter, ctx: _Context) -> Any:
-        if value == "auto":
-            return value
-        try:
-            number = float(re.sub(r"\s*EV$", "", str(value), flags=re.I))
-        except ValueError:
-            number = math.nan
+    def parse(self, word: str) -> Any:
+        if word == "auto":
+            return word
+        number = float(re.sub(r"\s*EV$", "", word, flags=re.I))
         if not abs(number) <= 16:
-            self.fail(f"must be auto, or a number of EV from -16 to 16, got {value!r}", param, ctx)
+            raise ValueError
         return number
 
 
-class BalanceValue(click.ParamType):
+class BalanceValue(_Word):
     """A white balance: gains of red, green and blue, `auto` or `none`."""
 
     name = "R,G,B|auto|none"
+    wanted = "auto, none or three gains such as 1.9,1,1.6"
 
-    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
-        return self.name
-
-    def convert(self, value: Any, param: _Parameter, ctx: _Context) -> Any:
-        if value in ("auto", "none") or isinstance(value, tuple):
-            return value
-        try:
-            gains = tuple(map(float, str(value).split(",")))
-        except ValueError:
-            gains = ()
-        if len(gains) != 3 or not all(0 < gain <= _MOST_BALANCE for gain in gains):
-            wanted = "auto, none or three gains such as 1.9,1,1.6"
-            self.fail(f"must be {wanted}, got {value!r}", param, ctx)
-        return gains
+    def parse(self, word: str) -> Any:
+        if word in ("auto", "none"):
+            return word
+        red, green, blue = map(float, word.split(","))
+        if not all(0 < gain <= _MOST_BALANCE for gain in (red, green, blue)):
+            raise ValueError
+        return red, green, blue
 
 
 class InputPath(click.Path):

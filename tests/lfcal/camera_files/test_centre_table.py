@@ -107,7 +107,7 @@ def test_the_command_converts_a_table_and_says_how_well_the_centres_keep_to_the_
     assert json.loads(up.stdout)["lens_types"]["count"] == 3
 
 
-@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-be"])
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-be", "utf-16-le", "utf-32"])
 def test_tables_of_other_encodings_are_read(camera, tmp_path, encoding):
     convert(camera, tmp_path / "plain.csv")
     text = (tmp_path / "plain.csv").read_text(encoding="utf-8")
