@@ -16,13 +16,10 @@ from ..runtime.arrays import Array
 from ..runtime.errors import CameraError
 from .compare import REGIONS, nine_places
 from .flat_lattice import SeenLattice, measure_camera
-from .misfit import MOST_SHIFT
+from .misfit import MOST_SHIFT, MOST_STRETCH
 
-__all__ = ["MOST_STRETCH", "CameraCheck", "check_camera", "choose_orientation", "find_problem"]
+__all__ = ["CameraCheck", "check_camera", "choose_orientation", "find_problem"]
 
-# Largest shift of a corner by scale or rotation [pitch]: 0.028 with right cameras on 11 captures,
-# 0.039 with a wrong one.
-MOST_STRETCH = 0.033
 # Offset [pitch] from which on pixels are taken for those of another microimage.
 _ANOTHER_LENS = 0.5
 _REMEDY = "give the camera of this flat, or calibrate on it"

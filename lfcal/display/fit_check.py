@@ -10,9 +10,10 @@ from numpy.typing import ArrayLike
 from ..camera.calibration import Calibration
 from ..runtime.arrays import Floats, Frozen
 from ..runtime.page import html_table
-from .camera_check import MOST_STRETCH, find_problem
+from .camera_check import find_problem
 from .compare import REGIONS, nine_places
 from .flat_lattice import measure_camera
+from .misfit import MOST_STRETCH
 
 __all__ = ["FitCheck", "check_fit"]
 

@@ -21,7 +21,7 @@ from ..camera.calibration import Calibration
 from ..lattice.lattice import Lattice
 from ..runtime.arrays import ENOUGH_LENSES, Array, Singles, evenly
 from ..runtime.errors import CAMERA_ADVICE, CalibrationError, FlatError, check_type
-from .misfit import Misfit
+from .misfit import MOST_STRETCH, Misfit
 
 if TYPE_CHECKING:
     from ..detection.search import Candidate
@@ -37,8 +37,9 @@ _NEIGHBOUR = 0.4
 # Lenses that are fitted: with 8,000, offsets on eight captures differ by less than 0.004 pitch, or
 # by 0.02 where the camera is wrong.
 _CHECKED_LENSES = 1400
-# Largest difference of the lattices of two halves of the microimages [pitch].
-_HALVES = 0.05
+# Largest difference of the lattices of two halves of the microimages [pitch]: fits that differ by
+# more do not tell whether corners are off.
+_HALVES = MOST_STRETCH
 # Pitches [px] and pixels of downscaled flats: larger ones take time and show no more.
 _PITCH = 18
 _LEAST_PITCH = 10

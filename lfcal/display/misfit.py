@@ -11,11 +11,14 @@ from ..lattice.cell import nearest_offsets
 from ..lattice.lattice import Lattice
 from ..runtime.arrays import Floats
 
-__all__ = ["MOST_SHIFT", "Misfit"]
+__all__ = ["MOST_SHIFT", "MOST_STRETCH", "Misfit"]
 
 # Largest shift of a right camera over the whole flat [pitch]: 0.05 on 60 simulated flats. Beyond
 # it, errors are visible in pictures.
 MOST_SHIFT = 0.06
+# Largest shift of a corner by scale or rotation [pitch]: 0.028 with right cameras on 11 captures,
+# 0.039 with a wrong one.
+MOST_STRETCH = 0.033
 # Largest difference of two bases of one lattice, relative to the first.
 _SAME_CELL = 0.1
 # Largest relative difference of the basis of a right camera: 0.0011 on 60 simulated flats.
@@ -79,8 +82,10 @@ class Misfit(NamedTuple):
 
     @property
     def is_straight(self) -> bool:
-        """Whether scale and angle are the same."""
-        return float(np.linalg.norm(self.linear, 2)) < _SAME_BASIS
+        """Whether scale and angle are the same, or so near that no corner of a small flat shows the
+        difference.
+        """
+        return float(np.linalg.norm(self.linear, 2)) < _SAME_BASIS or self.stretch < MOST_STRETCH
 
     @property
     def is_small(self) -> bool:

@@ -72,8 +72,8 @@ def analyze(
         occlusion 1 to 3 dB better and takes about as long as the rest of `"balanced"`. By default
         `"balanced"` does so.
     check : bool
-        Check first that the flat shows the lattice of this camera, as `lfcal.check_camera` does; not
-        done with `previous`.
+        Check first that the flat shows the lattice of this camera, as `lfcal.check_camera` does,
+        and warn where it is slightly stretched or turned; not done with `previous`.
     progress : bool or callable, optional
         True shows a bar on a terminal or in a notebook, and compiles the kernels of a new
         installation first; a function is called with the numbers of finished and of all stages.

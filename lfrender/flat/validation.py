@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -58,11 +59,13 @@ def check_flat(flat: NDArray, calibration: Calibration) -> NDArray:
 
 def verify_camera(flat: NDArray, calibration: Calibration) -> None:
     """CameraError if a flat of `check_flat` shows another lattice than that of its camera, or shows
-    it beside.
+    it beside; a warning if the pitch, the angle or the corners are slightly off.
     """
     colours = 1 if flat.shape[2] < 3 else 3
     check = check_camera(flat[..., :colours].squeeze(), calibration, lens_types=False)
     if check.usable and check.adjusted is None:
+        if check.problem is not None:
+            warnings.warn(check.problem, stacklevel=3)
         return
     remedy = "check=False uses the camera all the same"
     if check.adjusted is not None:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import lfcal
 from lfcal import Calibration, CameraError, FlatError, Lattice
 from lfrender import analyze
 from lfrender.flat.validation import exposure_rows, match_exposure
@@ -99,3 +100,18 @@ def test_analysis_with_a_wrong_camera_is_an_error(house, shift, degrees):
     with pytest.raises(CameraError, match="check=False"):
         analyze(house.flat, wrong, "fast")
     assert analyze(house.flat, wrong, "fast", check=False).preset == "fast"
+
+
+@pytest.mark.parametrize("corner", [-0.3, 0.1, 0.3])
+def test_analysis_with_a_stretched_camera_warns_with_the_words_of_the_commands(house, corner):
+    lattice = house.truth.calibration.lattice
+    middle = (np.array(lattice.image_size) - 1) / 2
+    scale = 1 + corner * lattice.pitch / float(np.hypot(*middle))
+    origin = middle + (lattice.origin - middle) * scale
+    stretched = replace(lattice, origin=origin, basis=lattice.basis * scale)
+    camera = replace(house.truth.calibration, lattice=stretched)
+    with pytest.warns(UserWarning, match="calibrate on") as caught:
+        analyze(house.flat, camera, "fast")
+    words = lfcal.check_camera(house.flat, camera).apply(camera, "camera.json").warnings[-1]
+    assert [str(one.message) for one in caught] == [words]
+    assert caught[0].filename == __file__
