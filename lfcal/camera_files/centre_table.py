@@ -11,16 +11,17 @@ from __future__ import annotations
 import re
 from contextlib import suppress
 from dataclasses import replace
+from io import StringIO
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..camera.calibration import Calibration
 from ..camera.lens_types import LensTypes
 from ..lattice.distortion import GENERAL_TERMS, Distortion
 from ..lattice.lattice import Lattice, reduce_basis
 from ..lattice.robust_fit import fit_affine
+from ..runtime.arrays import Floats, Integers
 from ..runtime.errors import CameraFileError
 from .text_files import LARGEST
 
@@ -28,7 +29,6 @@ __all__ = ["ROUNDING", "format_centre_table", "parse_centre_table"]
 
 _COLUMNS = ("x", "y", "radius", "type")
 _OTHER_NAMES = {"cx": "x", "cy": "y", "r": "radius", "d": "diameter", "kind": "type"}
-Array = NDArray[np.float64]
 
 # [pitch] Distance of the centres from a lattice, RMS, beyond which they are none; [px] beyond which
 # they are doubtful.
@@ -72,15 +72,10 @@ def parse_centre_table(text: str, size: tuple[int, int], y_up: bool = False) -> 
     warnings = []
     if "type" in table and len(np.unique(table["type"])) > 1:
         types = _find_types(index[known].astype(np.int64), table["type"][known])
-        warnings = [
-            "the lens types of the table do not repeat on the lattice and are left out; "
-            "calibrate on a flat"
-            if types is None
-            else (
-                "a table does not say which lens type is focused at which depth; calibrate on a "
-                "flat"
-            )
-        ]
+        problem = "a table does not say which lens type is focused at which depth"
+        if types is None:
+            problem = "the lens types of the table do not repeat on the lattice and are left out"
+        warnings.append(f"{problem}; calibrate on a flat")
     if rms > _DOUBTFUL_RMS:
         warnings.append(
             f"the centres lie {rms:.2f} px (RMS) off the lattice read from them; calibrate "
@@ -101,20 +96,21 @@ def format_centre_table(calibration: Calibration) -> str:
     The columns are `i, j, x, y, radius`, and `type` if the lens types are known.
     """
     lattice = calibration.lattice
-    types = calibration.lens_types
     index = lattice.indices()
-    ends = [f",{lattice.radius:.9g}"] * len(index)
-    if types is not None:
-        ends = [f"{end},{kind}" for end, kind in zip(ends, types.of(index), strict=True)]
-    rows = zip(index, lattice.centres(), ends, strict=True)
-    header = "i,j,x,y,radius" + (",type" if types is not None else "")
-    return (
-        "\n".join([header, *(f"{i},{j},{x:.9f},{y:.9f}{end}" for (i, j), (x, y), end in rows)])
-        + "\n"
-    )
+    radii = np.full(len(index), lattice.radius)
+    columns = [index, lattice.centres(), radii]
+    header = "i,j,x,y,radius"
+    numbers = "%d,%d,%.9f,%.9f,%.9g"
+    if calibration.lens_types is not None:
+        columns.append(calibration.lens_types.of(index))
+        header += ",type"
+        numbers += ",%d"
+    text = StringIO()
+    np.savetxt(text, np.column_stack(columns), numbers, header=header, comments="")
+    return text.getvalue()
 
 
-def _read_columns(text: str) -> dict[str, Array]:
+def _read_columns(text: str) -> dict[str, Floats]:
     names: list[str] = []
     rows: list[list[float]] = []
     for number, line in enumerate(text.splitlines(), 1):
@@ -148,7 +144,7 @@ def _read_columns(text: str) -> dict[str, Array]:
     return table
 
 
-def _find_indices(centres: Array) -> Array:
+def _find_indices(centres: Floats) -> Floats:
     """(n, 2) lattice indices of centres, NaN of those that no step of the lattice leads to."""
     from scipy.sparse import csr_matrix
     from scipy.sparse.csgraph import breadth_first_order
@@ -188,12 +184,12 @@ def _find_indices(centres: Array) -> Array:
     return found
 
 
-def _fit_lattice(index: Array, centres: Array, size: tuple[int, int]) -> tuple[Lattice, float]:
+def _fit_lattice(index: Floats, centres: Floats, size: tuple[int, int]) -> tuple[Lattice, float]:
     design = np.column_stack([np.ones(len(index)), index])
     if np.linalg.matrix_rank(design) < 3:
         raise ValueError("at least three centres that are not in one row are needed")
 
-    def rms(model: Array, fit: Array, weight: Array) -> float:
+    def rms(model: Floats, fit: Floats, weight: Floats) -> float:
         return float(np.sqrt(np.square(centres - model @ fit)[weight > 0].sum(1).mean()))
 
     straight, weight = fit_affine(design, centres, np.ones(len(index)))
@@ -219,18 +215,15 @@ def _fit_lattice(index: Array, centres: Array, size: tuple[int, int]) -> tuple[L
     ), misfit
 
 
-def _find_types(index: NDArray[np.int64], kinds: Array) -> LensTypes | None:
+def _find_types(index: Integers, kinds: Floats) -> LensTypes | None:
     """Types as the smallest cell that repeats for 99 % of the lenses, None if there is none."""
     names, numbers = np.unique(kinds, return_inverse=True)
     for side in range(2, 8 + 1):
-        place = index % side @ [side, 1] * len(names) + numbers.ravel()
-        votes = np.bincount(place, minlength=side * side * len(names)).reshape(-1, len(names))
-        if (
-            4 * len(votes) <= len(index)
-            and votes.sum(1).all()
-            and votes.max(1).sum() >= _LEAST_REPEATING * len(index)
-        ):
-            cell = votes.argmax(1).reshape(side, side)
+        votes = np.zeros((side, side, len(names)), np.int64)
+        np.add.at(votes, (*(index % side).T, numbers.ravel()), 1)
+        is_sampled = 4 * side**2 <= len(index) and votes.sum(2).all()
+        if is_sampled and votes.max(2).sum() >= _LEAST_REPEATING * len(index):
+            cell = votes.argmax(2)
             if len(np.unique(cell)) == len(names):
                 return LensTypes(cell)
             return None

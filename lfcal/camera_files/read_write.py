@@ -8,7 +8,6 @@ on a flat is the better choice.
 from __future__ import annotations
 
 import json
-import os
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -18,7 +17,7 @@ import numpy as np
 
 from ..camera.calibration import Calibration
 from ..camera.schema import check_plausible
-from ..runtime.errors import CameraFileError, check_path
+from ..runtime.errors import CameraFileError, PathLike, check_path
 from ..runtime.image_formats import IMAGE_SUFFIXES
 from ..runtime.input_file import read_text
 from ..runtime.output_file import atomic_write, check_output
@@ -68,7 +67,7 @@ FORMATS = {
 
 
 def load(
-    path: str | os.PathLike[str], image_size: tuple[int, int] | None = None, *, y_up: bool = False
+    path: PathLike, image_size: tuple[int, int] | None = None, *, y_up: bool = False
 ) -> Calibration:
     """Read a camera file: our own JSON, or one of another program.
 
@@ -133,9 +132,7 @@ def load(
         raise CameraFileError(f"{source}: {error}; calibrate on a flat instead") from error
 
 
-def convert(
-    calibration: Calibration, path: str | os.PathLike[str], *, mode: Mode | None = None
-) -> None:
+def convert(calibration: Calibration, path: PathLike, *, mode: Mode | None = None) -> None:
     """Write a camera in the format its suffix names; the file appears whole or not at all.
 
     `.json` is our own format and keeps everything. `.xml` (`RayCalibData`) keeps lattice, radius

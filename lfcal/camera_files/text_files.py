@@ -9,10 +9,10 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..camera.calibration import Calibration
 from ..lattice.lattice import Lattice, reduce_basis
+from ..runtime.arrays import Floats
 from ..runtime.errors import CameraFileError
 
 __all__ = [
@@ -33,7 +33,6 @@ ROW_SPACING = 0.75**0.5
 # Relative difference of the pitch from the one that the file states.
 _MOST_STRETCH = 0.1
 
-Vector = NDArray[np.float64]
 Mode = Literal["telescopic", "binocular"]
 
 
@@ -61,12 +60,12 @@ class PublishedNumbers(dict[str, str]):
     def positive(self, name: str) -> float:
         return self.number(name, above=0)
 
-    def point(self, x: str, y: str) -> NDArray[np.float64]:
+    def point(self, x: str, y: str) -> Floats:
         return np.array([self.number(x), self.number(y)])
 
 
 def calibration_from_corners(
-    corners: list[NDArray[np.float64]], pitch: float, upright: bool, image_size: tuple[int, int]
+    corners: list[Floats], pitch: float, upright: bool, image_size: tuple[int, int]
 ) -> Calibration:
     """Hexagonal lattice through the centres of the four outermost microimages.
 
@@ -190,8 +189,8 @@ def format_key_value(calibration: Calibration, mode: Mode | None = None) -> str:
 
 
 def _outermost(
-    lattice: Lattice, middle: Vector, across: Vector, down: Vector
-) -> tuple[Vector, int, int]:
+    lattice: Lattice, middle: Floats, across: Floats, down: Floats
+) -> tuple[Floats, int, int]:
     """The first whole microimage, and the steps `across` and `down` to the last whole ones.
 
     Readers take it for the first one of its row, and begin with its row.
@@ -221,7 +220,7 @@ def _mode_of_types(calibration: Calibration) -> Mode | None:
 
 
 def _near_type(
-    calibration: Calibration, mode: str | None, middle: Vector, upright: bool
+    calibration: Calibration, mode: str | None, middle: Floats, upright: bool
 ) -> int | None:
     """Number of the lens type that is focused nearest, None if it is not known.
 

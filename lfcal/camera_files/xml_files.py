@@ -12,11 +12,11 @@ from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..camera.calibration import Calibration
 from ..camera.lens_types import LensTypes
 from ..lattice.lattice import Lattice, reduce_basis
+from ..runtime.arrays import Floats, Integers
 from ..runtime.errors import CameraFileError
 from .text_files import PublishedNumbers, calibration_from_corners
 
@@ -100,22 +100,16 @@ def _parse_raytrix(
     lattice = Lattice(origin, reduce_basis(base @ to_pixels), size, radius)
     found = None
     if len(types) > 1:
-        found = _types_at(
-            np.array([one.point("offset/x", "offset/y") for one in types]) @ to_pixels, lattice
-        )
-        warnings.append(
-            "the lens types of the file do not lie on its lattice and are left out; "
-            "calibrate on a flat"
-            if found is None
-            else (
-                "the order of the lens types in such files is often wrong and was not taken "
-                "over; calibrate on a flat"
-            )
-        )
+        places = np.array([one.point("offset/x", "offset/y") for one in types])
+        found = _types_at(places @ to_pixels, lattice)
+        problem = "the order of the lens types in such files is often wrong and was not taken over"
+        if found is None:
+            problem = "the lens types of the file do not lie on its lattice and are left out"
+        warnings.append(f"{problem}; calibrate on a flat")
     return Calibration(lattice, lens_types=found, warnings=tuple(warnings))
 
 
-def _types_at(offsets: NDArray[np.float64], lattice: Lattice) -> LensTypes | None:
+def _types_at(offsets: Floats, lattice: Lattice) -> LensTypes | None:
     """Lens types of a hexagonal array from one lens of each type.
 
     The positions (3, 2) [px] of these lenses are relative to the origin.
@@ -131,7 +125,7 @@ def _types_at(offsets: NDArray[np.float64], lattice: Lattice) -> LensTypes | Non
     )
 
 
-def _type_numbers(index: NDArray[np.int64], lattice: Lattice) -> NDArray[np.int64]:
+def _type_numbers(index: Integers, lattice: Lattice) -> Integers:
     """Type 0, 1 or 2 (...) of the lenses with indices (..., 2) of a hexagonal lattice.
 
     This is the only arrangement in which all neighbours have different types.
@@ -186,8 +180,8 @@ def format_xml(calibration: Calibration) -> str:
 def _type_elements(
     types: LensTypes | None,
     lattice: Lattice,
-    middle: NDArray[np.int64],
-    to_lens: NDArray[np.float64],
+    middle: Integers,
+    to_lens: Floats,
 ) -> Iterator[str]:
     """XML elements of three lens types: one lens of each, and its range of depths.
 

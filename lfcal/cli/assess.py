@@ -7,7 +7,6 @@ from typing import Any
 import click
 
 from ..runtime import command_line as cl
-from ..runtime.output_file import check_output
 from .inputs import read_flats
 from .results import AssessResult
 
@@ -44,7 +43,12 @@ _UM = cl.Quantity(after="[uµ]m")
     "N",
 )
 @cl.option(*cl.DARK)
-@cl.output_option("PAGE.html", "Page with a drawing of each figure.", required=False)
+@cl.output_option(
+    "PAGE.html",
+    "Page with a drawing of each figure.",
+    required=False,
+    suffixes=(".html", ".htm"),
+)
 @cl.report_options(AssessResult)
 def assess(report: cl.Report, given: Any) -> int:
     """Tell from the white image WHITE how the microlens array is mounted, and what to turn.
@@ -56,8 +60,6 @@ def assess(report: cl.Report, given: Any) -> int:
     """
     output = given.output
     closing = []
-    if output is not None:
-        check_output(output, {".html", ".htm"})
     if given.pupil is not None and given.pixel is None:
         raise click.UsageError("--pupil needs --pixel")
     with report.stage("read"):

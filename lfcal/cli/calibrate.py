@@ -11,7 +11,6 @@ import cloup
 
 from ..runtime import command_line as cl
 from ..runtime.image_formats import MOSAICS
-from ..runtime.output_file import check_output
 from .figures import describe, summarise
 from .inputs import read_flats
 from .results import CameraResult
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["calibrate", "lattice"]
 
-_CAMERA = cl.output_option("CAMERA.json", "Camera file to write.", ".json")
+_CAMERA = cl.output_option("CAMERA.json", "Camera file to write.", ".json", suffixes=(".json",))
 _FILES = (_CAMERA, cl.option(*cl.DARK))
 _KNOWN = (
     cl.option(
@@ -97,7 +96,6 @@ def calibrate(report: cl.Report, given: Any) -> None:
     """
     images = given.images
     output = given.output
-    check_output(output, {".json"})
     if given.rotation is not None and given.pitch is None:
         raise click.UsageError("--rotation needs --pitch")
     with report.stage("read"):
@@ -133,8 +131,6 @@ def lattice(report: cl.Report, given: Any) -> None:
     The light of the microimages stays unknown. Commands that use the file check it against the
     flat.
     """
-    output = given.output
-    check_output(output, {".json"})
     from ..camera.calibration import Calibration
     from ..lattice.stated import state_lattice
 
@@ -149,7 +145,7 @@ def lattice(report: cl.Report, given: Any) -> None:
     _write(
         report,
         camera,
-        output,
+        given.output,
         summarise(camera)[0],
-        f"{output} is written; check it with 'lfcal show'.",
+        f"{given.output} is written; check it with 'lfcal show'.",
     )

@@ -9,7 +9,7 @@ import click
 
 from ..runtime import command_line as cl
 from ..runtime.image_formats import TIFF_SUFFIXES
-from ..runtime.output_file import atomic_write, check_output
+from ..runtime.output_file import atomic_write
 from .figures import describe, summarise
 from .inputs import read_camera, read_flats
 from .results import FlattenResult, ShowResult
@@ -21,12 +21,11 @@ __all__ = ["flatten", "show"]
 @click.argument("camera", type=cl.INPUT)
 @cl.option("--image", cl.INPUT, "A white image or scene capture of that camera.", required=True)
 @cl.option(*cl.DARK)
-@cl.output_option("SHOW.png", "Picture to write.")
+@cl.output_option("SHOW.png", "Picture to write.", suffixes=(".png",))
 @cl.report_options(ShowResult)
 def show(report: cl.Report, given: Any) -> None:
     """Draw the circles of CAMERA over the centre and the corners of an image."""
     output = given.output
-    check_output(output, {".png"})
     with report.stage("read"):
         from .. import check_camera
         from .. import show as run
@@ -57,7 +56,7 @@ def show(report: cl.Report, given: Any) -> None:
 @click.argument("flat", type=cl.INPUT)
 @cl.option("-c --camera", cl.INPUT, "Camera file with a gain map.", required=True)
 @cl.option(*cl.DARK)
-@cl.output_option("FLAT.tif", "Flattened flat to write.")
+@cl.output_option("FLAT.tif", "Flattened flat to write.", suffixes=TIFF_SUFFIXES)
 @cl.report_options(FlattenResult)
 def flatten(report: cl.Report, given: Any) -> None:
     """Light the microimages of FLAT evenly, by the gain map of CAMERA.
@@ -65,7 +64,6 @@ def flatten(report: cl.Report, given: Any) -> None:
     Pixels are divided by their gain; those of unknown gain stay.
     """
     output = given.output
-    check_output(output, TIFF_SUFFIXES)
     with report.stage("read"):
         from .. import check_camera
 

@@ -10,9 +10,8 @@ import click
 from ..runtime import command_line as cl
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from ..camera.calibration import Calibration
+    from ..runtime.arrays import Array
 
 __all__ = [
     "SIZE_OPTIONS",
@@ -29,7 +28,7 @@ SIZE_OPTIONS = (
 )
 
 
-def read_flats(given: Any, *paths: Path, **options: Any) -> list[NDArray[Any]]:
+def read_flats(given: Any, *paths: Path, **options: Any) -> list[Array]:
     """Flats, less the frame of `--dark`; `options` as for `lfcal.read_flat`."""
     from .. import read_flat, subtract_dark
 
@@ -41,7 +40,7 @@ def read_flats(given: Any, *paths: Path, **options: Any) -> list[NDArray[Any]]:
         return [subtract_dark(flat, frame) for flat in flats]
 
 
-def read_image(given: Any) -> NDArray[Any]:
+def read_image(given: Any) -> Array:
     if given.size is not None:
         raise click.UsageError("--size and --image exclude each other")
     from .. import read_flat

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..runtime import command_line as cl
-from ..runtime.output_file import check_output
 from .figures import describe_blur, describe_optics
 from .inputs import read_flats
 from .results import BoardResult, MetricResult
@@ -18,7 +17,8 @@ if TYPE_CHECKING:
 
 __all__ = ["board", "metric"]
 
-_OUTPUT = cl.OutputPath()
+_JSON = (".json",)
+_EXCHANGE = cl.OutputPath(suffixes=(".js", ".yml", ".yaml", ".xml"))
 # Lenses are named by rounded focal lengths.
 _FOCAL_LENGTH_TOLERANCE = 0.1
 _BOARD = (
@@ -47,7 +47,7 @@ _METRIC = (
     cl.option("-c --camera", cl.INPUT, "Camera file of 'lfcal calibrate'.", required=True),
     cl.option(*cl.DARK),
     # It may be written over: it is the same camera, with more known about it.
-    cl.output_option("CAMERA.json", "Camera file to write.", replaces="camera"),
+    cl.output_option("CAMERA.json", "Camera file to write.", replaces="camera", suffixes=_JSON),
     *_BOARD,
     cl.option(
         "--pixel",
@@ -63,13 +63,20 @@ _METRIC = (
     ),
     cl.option(
         "--exchange",
-        _OUTPUT,
+        _EXCHANGE,
         "For other programs: .js with poses beside it (libpleno), .yml or .xml (OpenCV's pinhole) "
         "to write.",
         "FILE",
     ),
-    cl.option("--report page", _OUTPUT, "Residuals, poses, what to shoot next.", "PAGE.html"),
-    cl.option("--poses", _OUTPUT, "Poses of the boards to write.", "POSES.json"),
+    cl.option(
+        "--report page",
+        cl.OutputPath(suffixes=(".html",)),
+        "Residuals, poses, what to shoot next.",
+        "PAGE.html",
+    ),
+    cl.option(
+        "--poses", cl.OutputPath(suffixes=_JSON), "Poses of the boards to write.", "POSES.json"
+    ),
 )
 
 
@@ -97,15 +104,6 @@ def metric(report: cl.Report, given: Any) -> None:
     flats = given.flats
     camera = given.camera
     output = given.output
-    exchange = {".js", ".yml", ".yaml", ".xml"}
-    for path, suffixes in (
-        (output, {".json"}),
-        (given.poses, {".json"}),
-        (given.page, {".html"}),
-        (given.exchange, exchange),
-    ):
-        if path is not None:
-            check_output(path, suffixes)
     board = _read_board(given)
     with report.stage("read"):
         from .. import calibrate_metric, load

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..runtime.arrays import Array, Singles
 from ..runtime.errors import FlatError
 from ..runtime.image_formats import identify_format
 from .pixels import MAX_PIXELS, check_only_page, check_size, check_unpacked, import_reader
@@ -67,7 +67,7 @@ _BLOSC_HEADER = struct.Struct("<4xI4xI")
 _MOST_CHANNELS = 4
 
 
-def read_hdf5(path: Path, page: int | None) -> NDArray[Any]:
+def read_hdf5(path: Path, page: int | None) -> Array:
     """The capture in an HDF5 file, or with `page` 1 and more its white and dark images.
 
     Raw pictures (plenoptomos `.vox`), flats, and light fields of views `(v, u, y, x)` are read. A
@@ -124,7 +124,7 @@ def _is_picture(shape: tuple[int, ...]) -> bool:
     return len(shape) in (2, 3) and 0 not in shape and max(shape[2:], default=1) <= _MOST_CHANNELS
 
 
-def _read_dataset(name: str, data: Any) -> NDArray[Any]:
+def _read_dataset(name: str, data: Any) -> Array:
     shape = tuple(int(n) for n in data.shape)
     if data.dtype.kind not in "uif" or data.dtype.hasobject:
         raise FlatError(f"dataset '{name}' holds {data.dtype}; save it as 8 bit, 16 bit or float")
@@ -137,7 +137,7 @@ def _read_dataset(name: str, data: Any) -> NDArray[Any]:
     width = picture[1] * views[1]
     check_size(width, height)
     _check_stored(name, data)
-    pixels: NDArray[Any] = data[()]
+    pixels: Array = data[()]
     if pixels.ndim < 4:
         return pixels
     return np.moveaxis(pixels, (2, 0, 3, 1), (0, 1, 2, 3)).reshape(height, width, *picture[2:])
@@ -165,7 +165,7 @@ def _check_stored(name: str, data: Any) -> None:
         )
 
 
-def read_openexr(path: Path, page: int | None) -> NDArray[np.float32]:
+def read_openexr(path: Path, page: int | None) -> Singles:
     """(h, w) or (h, w, 3) the only picture of an OpenEXR file: channels R, G, B, or brightness."""
     exr = import_reader("OpenEXR")
     check_only_page(page)
@@ -198,7 +198,7 @@ def read_openexr(path: Path, page: int | None) -> NDArray[np.float32]:
     return np.asarray(channels[found[0]], np.float32)
 
 
-def read_raw_photo(path: Path, page: int | None) -> NDArray[Any]:
+def read_raw_photo(path: Path, page: int | None) -> Array:
     """(h, w) uint16 colour mosaic of the visible part of the sensor; of linear DNG (h, w, 3)."""
     rawpy = import_reader("rawpy")
     check_only_page(page)
@@ -235,7 +235,7 @@ class ZarrFlat(NamedTuple):
             return (*shape[1:], shape[0])
         return shape
 
-    def read(self, rows: slice, columns: slice) -> NDArray[Any]:
+    def read(self, rows: slice, columns: slice) -> Array:
         """Pixels as stored, channels last; FlatError if a chunk is missing."""
         channels = [slice(0, self.shape[2])] if len(self.shape) == 3 else []
         parts = [*channels, rows, columns] if self.channels_first else [rows, columns, *channels]
@@ -251,7 +251,7 @@ class ZarrFlat(NamedTuple):
             return np.moveaxis(pixels, 0, -1)
         return pixels
 
-    def _filled(self, value: int, parts: list[slice]) -> NDArray[Any]:
+    def _filled(self, value: int, parts: list[slice]) -> Array:
         """Parts of the array along its axes, with a value where chunks are missing."""
         import zarr
 

@@ -10,9 +10,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..runtime.arrays import ENOUGH_PIXELS, evenly
+from ..runtime.arrays import ENOUGH_PIXELS, Array, Singles, evenly
 from ..runtime.errors import FlatError
 from ..runtime.image_formats import MOSAICS, Mosaic
 from ..runtime.light.tone import balance_of, linear_light
@@ -43,7 +42,7 @@ _LONGER = 0.01
 _WARM = 0.25
 
 
-def check_mosaic(mosaic: str | None, flat: NDArray[Any]) -> None:
+def check_mosaic(mosaic: str | None, flat: Array) -> None:
     """Raise ValueError if the name of a mosaic is wrong, FlatError if a flat does not have it."""
     if mosaic is None:
         return
@@ -63,7 +62,7 @@ def check_mosaic(mosaic: str | None, flat: NDArray[Any]) -> None:
         )
 
 
-def find_mosaic(flat: NDArray[Any]) -> Mosaic | None:
+def find_mosaic(flat: Array) -> Mosaic | None:
     """The colour filters over the top left 2 x 2 pixels of a `flat` (h, w), None if it has none.
 
     Behind filters, neighbouring pixels differ by colours, which change slowly. So the spectrum has
@@ -122,7 +121,7 @@ def find_mosaic(flat: NDArray[Any]) -> Mosaic | None:
 
 
 def balance_mosaic(
-    white: NDArray[Any], mosaic: Mosaic, level: float | None, encoded: bool | None
+    white: Array, mosaic: Mosaic, level: float | None, encoded: bool | None
 ) -> tuple[float, float, float] | None:
     """Gains of red, green and blue that make a white image (h, w) behind filters grey.
 
@@ -148,7 +147,7 @@ def balance_mosaic(
     return balance_of(np.array(colours))
 
 
-def _peaks(blocks: NDArray[np.float32]) -> list[float]:
+def _peaks(blocks: Singles) -> list[float]:
     """Mean power about the frequencies of a mosaic over the highest beside them (upper quartile).
 
     Three values: for the sum and the difference of the parts of `blocks` (n, side, side) that
@@ -177,7 +176,7 @@ def _peaks(blocks: NDArray[np.float32]) -> list[float]:
     return np.quantile(peaks, _COLOURED, axis=1).tolist()
 
 
-def equalise_mosaic(flat: NDArray[Any]) -> NDArray[np.float32]:
+def equalise_mosaic(flat: Array) -> Singles:
     """(h, w) float32 light of a mosaic `flat` (h, w), with its phases scaled to one local mean."""
     import cv2
 
@@ -195,7 +194,7 @@ def equalise_mosaic(flat: NDArray[Any]) -> NDArray[np.float32]:
     return np.ascontiguousarray(light[:height, :width])
 
 
-def remove_mosaic(light: NDArray[np.float32]) -> NDArray[Any]:
+def remove_mosaic(light: Singles) -> Array:
     """`light` (h, w) filtered with weights 1, 2, 1 along both axes, which removes a mosaic."""
     import cv2
 

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..runtime.arrays import Array, Singles
 from ..runtime.errors import FlatError
 from ..runtime.packages import import_package
 
@@ -108,7 +109,7 @@ def file_errors(source: Path) -> Iterator[None]:
         raise FlatError(f"{source}: damaged image file ({reason})") from error
 
 
-def check_pixels(pixels: ArrayLike) -> NDArray[Any]:
+def check_pixels(pixels: ArrayLike) -> Array:
     """The pixels of a flat in the form that all functions read, for files and for arrays.
 
     Alpha is dropped. Signed integers are clipped at 0: they are left where a dark frame was
@@ -148,7 +149,7 @@ def check_pixels(pixels: ArrayLike) -> NDArray[Any]:
     return convert_pixels(array)
 
 
-def convert_pixels(array: NDArray[Any]) -> NDArray[Any]:
+def convert_pixels(array: Array) -> Array:
     """What `check_pixels` returns, for a part of a flat (h, w) or (h, w, 1 to 4)."""
     if array.ndim == 3:
         array = array[..., 0] if array.shape[2] <= 2 else array[..., :3]
@@ -165,7 +166,7 @@ def convert_pixels(array: NDArray[Any]) -> NDArray[Any]:
     return np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("="))
 
 
-def _unsigned(array: NDArray[Any]) -> NDArray[Any]:
+def _unsigned(array: Array) -> Array:
     """Integers as uint8 or uint16; less than no light is noise."""
     size = min(array.dtype.itemsize, 2)
     if array.dtype.itemsize > 2 and array.max() > _LARGEST_INTEGER:
@@ -175,7 +176,7 @@ def _unsigned(array: NDArray[Any]) -> NDArray[Any]:
     return array.astype(f"u{size}", copy=False)
 
 
-def _finite(array: NDArray[Any]) -> NDArray[np.float32]:
+def _finite(array: Array) -> Singles:
     """Floats as float32."""
     with np.errstate(over="ignore", invalid="ignore"):
         single = array.astype(np.float32, copy=False)
@@ -197,7 +198,7 @@ def _finite(array: NDArray[Any]) -> NDArray[np.float32]:
     return single
 
 
-def apply_palette(indices: NDArray[Any], palette: NDArray[np.uint8]) -> NDArray[Any]:
+def apply_palette(indices: Array, palette: NDArray[np.uint8]) -> Array:
     """(h, w, 3) colours of a picture of indices (h, w) by a palette (n, 3).
 
     The indices themselves are the picture where all colours of the palette are equal, as programs
@@ -217,7 +218,7 @@ def check_unpacked(size: float, stored: int) -> None:
         )
 
 
-def decode_picture(data: bytes, name: str) -> NDArray[Any]:
+def decode_picture(data: bytes, name: str) -> Array:
     """Pixels (h, w) or (h, w, c) of the bytes of a file in the format `name`, with all bits."""
     import imagecodecs
 
@@ -243,7 +244,7 @@ def decode_picture(data: bytes, name: str) -> NDArray[Any]:
     return np.asarray(image)
 
 
-def _decode_netpbm(data: bytes) -> NDArray[Any]:
+def _decode_netpbm(data: bytes) -> Array:
     """Samples of a PGM or PPM file as stored: not scaled by the maximum in its header."""
     header = _NETPBM_HEADER.match(data)
     if header is None:

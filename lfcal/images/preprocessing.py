@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..runtime.arrays import Array, Floats, Singles
 from ..runtime.kernels import kernel
 
 __all__ = [
@@ -31,7 +31,7 @@ _FLOOR = np.float32(0.02)
 _CLIP = np.float32(3)
 
 
-def luminance(image: NDArray[Any]) -> NDArray[np.float32]:
+def luminance(image: Array) -> Singles:
     """(h, w) float32 luminance of raw values (h, w) or (h, w, 3); negative ones become 0."""
     import cv2
 
@@ -47,7 +47,7 @@ def luminance(image: NDArray[Any]) -> NDArray[np.float32]:
     return grey
 
 
-def sqrt_luminance(image: NDArray[Any]) -> NDArray[np.float32]:
+def sqrt_luminance(image: Array) -> Singles:
     """(h, w) float32 square root of the luminance of raw values (h, w) or (h, w, 3), of mean 1.
 
     Photon noise is equal in bright and dark parts of it.
@@ -60,12 +60,12 @@ def sqrt_luminance(image: NDArray[Any]) -> NDArray[np.float32]:
     return grey
 
 
-def is_mask(picture: NDArray[Any]) -> bool:
+def is_mask(picture: Array) -> bool:
     """Whether a picture (h, w) or (h, w, 3) has at most two tones, such as drawn discs."""
     return len(np.unique(picture[:: max(1, len(picture) // 64)])) <= 2
 
 
-def soften_mask(picture: NDArray[np.float32]) -> NDArray[np.float32]:
+def soften_mask(picture: Singles) -> Singles:
     """A picture (h, w), blurred by a pixel if it is a mask: fits to edges need a slope."""
     import cv2
 
@@ -99,14 +99,14 @@ def _edge_strength(begin, end, padded, out):
             line[x] = np.sqrt(np.sqrt(across * across + down * down))
 
 
-def edge_strength(picture: NDArray[np.float32]) -> NDArray[np.float32]:
+def edge_strength(picture: Singles) -> Singles:
     """(h, w) float32 square root of the gradient (Sobel) of a picture of 2 x 2 px or more."""
     out = np.empty_like(picture)
     _edge_strength(_mirrored(picture, 1), out)
     return out
 
 
-def _mirrored(picture: NDArray[np.float32], margin: int) -> NDArray[np.float32]:
+def _mirrored(picture: Singles, margin: int) -> Singles:
     import cv2
 
     return np.asarray(
@@ -150,7 +150,7 @@ def _normalise(begin, end, padded, side, together, floor, clip, out):
                     square += squares[x + side] - squares[x]
 
 
-def normalise_locally(picture: NDArray[np.float32], window: float) -> NDArray[np.float32]:
+def normalise_locally(picture: Singles, window: float) -> Singles:
     """(picture - local mean) / local standard deviation, clipped, for a picture (h, w).
 
     `window` is the side of the square of mean and deviation [px]; the picture is mirrored at its
@@ -162,9 +162,7 @@ def normalise_locally(picture: NDArray[np.float32], window: float) -> NDArray[np
     return out
 
 
-def interpolate_linear(
-    picture: NDArray[np.float32], positions: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def interpolate_linear(picture: Singles, positions: Floats) -> Floats:
     """(...,) bilinear interpolation of a picture at positions (..., 2) [px]; nearest outside."""
     low = np.clip(np.floor(positions), 0, np.array(picture.shape[::-1]) - 2).astype(np.intp)
     x, y = np.moveaxis(low, -1, 0)

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import stat
 from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
-from numpy.typing import NDArray
-
-from ..runtime.errors import FlatError, check_path
+from ..runtime.arrays import Array
+from ..runtime.errors import FlatError, PathLike, check_path
 from ..runtime.image_formats import (
     IMAGE_FORMATS,
     RAW_PHOTO_SUFFIXES,
@@ -27,7 +24,7 @@ from .video import count_yuv_frames, is_yuv, read_video_frame, read_yuv
 __all__ = ["MAX_PIXELS", "count_pages", "read_flat"]
 
 # Formats whose files may hold several pictures; others are decoded by `decode_picture`.
-_READERS: dict[str, Callable[[Path, int | None], NDArray[Any]]] = {
+_READERS: dict[str, Callable[[Path, int | None], Array]] = {
     "TIFF": read_tiff,
     "OpenEXR": read_openexr,
     "HDF5": read_hdf5,
@@ -50,12 +47,12 @@ _CONVERTERS = {
 
 
 def read_flat(
-    path: str | os.PathLike[str],
+    path: PathLike,
     page: int | None = None,
     *,
     size: tuple[int, int] | None = None,
     pixel_format: str | None = None,
-) -> NDArray[Any]:
+) -> Array:
     """Read a raw plenoptic picture with its pixel values as stored.
 
     PNG (1 to 16 bit grey, RGB, palette), TIFF (8 and 16 bit, float), WebP, JPEG, BMP, PGM, PPM and
@@ -103,7 +100,7 @@ def read_flat(
 
 
 def count_pages(
-    path: str | os.PathLike[str],
+    path: PathLike,
     *,
     size: tuple[int, int] | None = None,
     pixel_format: str | None = None,
@@ -134,7 +131,7 @@ def count_pages(
         return 1
 
 
-def _decode(source: Path, page: int | None) -> NDArray[Any]:
+def _decode(source: Path, page: int | None) -> Array:
     suffix = source.suffix.lower()
     mode = source.stat().st_mode
     if stat.S_ISDIR(mode) and is_zarr(source):

@@ -11,8 +11,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ..runtime.arrays import Array, Singles
 from ..runtime.errors import FlatError
 from .pixels import check_pixels
 from .preprocessing import is_mask
@@ -29,7 +30,6 @@ __all__ = [
     "select_contrasted",
 ]
 
-Light = NDArray[np.float32]
 
 # Bits of sensors.
 _BITS = (8, 10, 12, 14)
@@ -42,7 +42,7 @@ CLIPPED_LIGHT = 0.995
 _CLIPPED_SHARE = 0.002
 
 
-def check_flats(image: Any) -> list[NDArray[Any]]:
+def check_flats(image: Any) -> list[Array]:
     """One or several flats, or their paths, as arrays; FlatError if they are of two cameras."""
     given: Any = _read_paths(image)
     several = isinstance(given, (list, tuple)) and len(given) > 0 and np.ndim(given[0]) >= 2
@@ -68,7 +68,7 @@ def _read_paths(image: Any) -> Any:
     return image
 
 
-def _check_flat(image: ArrayLike, name: str) -> NDArray[Any]:
+def _check_flat(image: ArrayLike, name: str) -> Array:
     try:
         flat = check_pixels(image)
     except FlatError as error:
@@ -79,7 +79,7 @@ def _check_flat(image: ArrayLike, name: str) -> NDArray[Any]:
     return flat
 
 
-def estimate_white_level(flats: Sequence[NDArray[Any]]) -> float | None:
+def estimate_white_level(flats: Sequence[Array]) -> float | None:
     """Largest value of a sensor of 8, 10, 12 or 14 bits in flats of 16 bits; None if unknown."""
     if any(flat.dtype.kind not in "ui" or flat.dtype.itemsize == 1 for flat in flats):
         return None
@@ -87,7 +87,7 @@ def estimate_white_level(flats: Sequence[NDArray[Any]]) -> float | None:
     return next((float(2**bits - 1) for bits in _BITS if largest < 2**bits), None)
 
 
-def measure_overexposure(flat: NDArray[Any]) -> float:
+def measure_overexposure(flat: Array) -> float:
     """Share of the pixels at the largest value of their type or of a sensor; 0 for masks."""
     top = 0
     if flat.dtype.kind == "u":
@@ -100,13 +100,13 @@ def measure_overexposure(flat: NDArray[Any]) -> float:
     return float(np.logical_or.reduce([channel >= top for channel in channels]).mean())
 
 
-def select_contrasted(lights: Sequence[Light]) -> list[int]:
+def select_contrasted(lights: Sequence[Singles]) -> list[int]:
     """Indices of the flats that have contrast, among `lights` (h, w) in one scale."""
     contrast = [float(light.std(dtype=np.float64)) for light in lights]
     return [k for k, value in enumerate(contrast) if value >= _LEAST_SHARE * max(contrast)]
 
 
-def combine_whites(lights: Sequence[Light]) -> Light:
+def combine_whites(lights: Sequence[Singles]) -> Singles:
     """Weighted least-squares estimate of the light from all white images, by their exposures.
 
     `lights` (h, w) are linear, with any exposures and black levels; the result has the scale of the
@@ -145,7 +145,7 @@ def combine_whites(lights: Sequence[Light]) -> Light:
     return np.maximum(combined, np.float32(0))
 
 
-def average_scenes(lights: Sequence[Light]) -> Light:
+def average_scenes(lights: Sequence[Singles]) -> Singles:
     """(h, w) mean of the lights of scenes, each scaled to mean 1."""
     total = np.zeros(lights[0].shape, np.float32)
     for light in lights:
@@ -153,7 +153,7 @@ def average_scenes(lights: Sequence[Light]) -> Light:
     return total
 
 
-def clipping_level(light: Light) -> float:
+def clipping_level(light: Singles) -> float:
     """Least light of clipped pixels in an array of any shape, infinite if none are clipped."""
     top = CLIPPED_LIGHT * float(light.max())
     if float((light >= top).mean()) > _CLIPPED_SHARE:

@@ -7,16 +7,14 @@ a whole.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..runtime.errors import FlatError, check_path
+from ..runtime.arrays import Array
+from ..runtime.errors import FlatError, PathLike, check_path
 from ..runtime.image_formats import TIFF_SUFFIXES
 from .containers import is_zarr, open_zarr
 from .pixels import convert_pixels, file_errors
@@ -26,7 +24,7 @@ from .tiff import open_tiff, part_reader
 __all__ = ["FlatSource", "open_flat", "subtract_dark"]
 
 # Reads the pixels of some rows and columns.
-_Read = Callable[[slice, slice], NDArray[Any]]
+_Read = Callable[[slice, slice], Array]
 
 
 class FlatSource(ExitStack):
@@ -74,7 +72,7 @@ class FlatSource(ExitStack):
             _check_dark(self, dark)
         plain = self._read
 
-        def read(rows: slice, columns: slice) -> NDArray[Any]:
+        def read(rows: slice, columns: slice) -> Array:
             black = dark.read(columns.start, rows.start, columns.stop, rows.stop)
             pixels = convert_pixels(plain(rows, columns))
             return subtract_dark(pixels, black)
@@ -87,7 +85,7 @@ class FlatSource(ExitStack):
         """Bytes of all pixels."""
         return int(np.prod(self.shape, dtype=np.int64)) * self.dtype.itemsize
 
-    def read(self, left: int, top: int, right: int, bottom: int) -> NDArray[Any]:
+    def read(self, left: int, top: int, right: int, bottom: int) -> Array:
         """Pixels of columns `left` to `right - 1` and rows `top` to `bottom - 1`.
 
         FlatError if the part is damaged or contains NaN or infinity; ValueError if it is empty or
@@ -103,9 +101,9 @@ class FlatSource(ExitStack):
 
 
 def open_flat(
-    path: str | os.PathLike[str],
+    path: PathLike,
     page: int | None = None,
-    dark: str | os.PathLike[str] | None = None,
+    dark: PathLike | None = None,
 ) -> FlatSource:
     """Open a raw plenoptic picture to read it in parts.
 
@@ -156,7 +154,7 @@ def _open(source: Path, page: int | None) -> FlatSource:
     )
 
 
-def subtract_dark(flat: NDArray[Any], dark: NDArray[Any]) -> NDArray[Any]:
+def subtract_dark(flat: Array, dark: Array) -> Array:
     """A flat minus a dark frame (a picture without light), in its own type, integers clipped at 0.
 
     `flat` and `dark` are (h, w) or (h, w, c). The dark frame, or the mean of several, has the
@@ -178,7 +176,7 @@ def subtract_dark(flat: NDArray[Any], dark: NDArray[Any]) -> NDArray[Any]:
     return np.asarray(flat - dark, flat.dtype)
 
 
-def _check_dark(flat: NDArray[Any] | FlatSource, dark: NDArray[Any] | FlatSource) -> None:
+def _check_dark(flat: Array | FlatSource, dark: Array | FlatSource) -> None:
     """Raise FlatError unless a dark frame has the size, colours and kind of type of a flat."""
     if dark.shape[:2] != flat.shape[:2] or dark.shape[2:] not in ((), (1,), flat.shape[2:]):
         raise FlatError(

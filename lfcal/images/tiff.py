@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..runtime.arrays import Array
 from ..runtime.errors import FlatError
 from .pixels import apply_palette, check_page, check_size, check_unpacked
 
@@ -190,7 +190,7 @@ def _segment_size(page: Any) -> tuple[int, int]:
     return height, width
 
 
-def read_tiff(source: Path, number: int | None) -> NDArray[Any]:
+def read_tiff(source: Path, number: int | None) -> Array:
     """Pixels of the page `number` of a TIFF, or of its only full picture."""
     with open_tiff(source) as tiff:
         page = select_tiff_page(tiff, number)
@@ -200,7 +200,7 @@ def read_tiff(source: Path, number: int | None) -> NDArray[Any]:
         return _convert(pixels, page)
 
 
-def _convert(pixels: NDArray[Any], page: Any) -> NDArray[Any]:
+def _convert(pixels: Array, page: Any) -> Array:
     """Pixels (h, w) or (h, w, c) by their kind of colours."""
     if page.samplesperpixel == 1:
         pixels = pixels.reshape(pixels.shape[:2])
@@ -218,7 +218,7 @@ def _convert(pixels: NDArray[Any], page: Any) -> NDArray[Any]:
 
 def part_reader(
     source: Path, tiff: Any, number: int | None
-) -> tuple[Callable[[slice, slice], NDArray[Any]], Any]:
+) -> tuple[Callable[[slice, slice], Array], Any]:
     """A function that reads some rows and columns of a TIFF, and height and width [px].
 
     Pixels without compression are mapped into memory; of others the strips or tiles that overlap a
@@ -239,7 +239,7 @@ def part_reader(
     return lambda rows, columns: _convert(_read_segments(page, rows, columns), page), shape
 
 
-def _read_segments(page: Any, rows: slice, columns: slice) -> NDArray[Any]:
+def _read_segments(page: Any, rows: slice, columns: slice) -> Array:
     """The pixels (h, w, c) of some rows and columns, from the strips or tiles that overlap them."""
     from concurrent.futures import ThreadPoolExecutor
 

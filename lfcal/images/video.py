@@ -11,11 +11,11 @@ import re
 from io import BytesIO
 from itertools import islice
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..runtime.arrays import Array
 from ..runtime.errors import FlatError
 from ..runtime.image_formats import RAW_SUFFIX, VIDEO_FORMATS
 from ..runtime.video import import_av, parse_pixel_format, rgb_pixels
@@ -37,7 +37,7 @@ class RawLayout(NamedTuple):
     frame_bytes: int
 
 
-def read_video_frame(path: Path, page: int | None) -> NDArray[Any]:
+def read_video_frame(path: Path, page: int | None) -> Array:
     """(h, w, 3) frame `page` or the only frame of a video: uint16 above 8 bits, else uint8."""
     if page is not None and page < 0:
         raise FlatError(f"has no frame {page}")
@@ -77,7 +77,7 @@ def count_yuv_frames(path: Path, size: tuple[int, int] | None, pixel_format: str
 
 def read_yuv(
     path: Path, page: int | None, size: tuple[int, int] | None, pixel_format: str | None
-) -> NDArray[Any]:
+) -> Array:
     """(h, w, 3) frame `page` or the only frame of raw video: uint16 above 8 bits, else uint8.
 
     Colours are converted as FFmpeg converts a frame without a colour space: BT.601, limited range.

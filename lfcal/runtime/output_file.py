@@ -10,7 +10,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
 
-from .errors import LightFieldError, check_path
+from .errors import LightFieldError, PathLike, check_path
 from .file_lock import file_lock
 
 __all__ = [
@@ -43,7 +43,7 @@ class OutputError(LightFieldError, OSError):
 
 
 @contextmanager
-def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
+def atomic_write(path: PathLike) -> Iterator[Path]:
     """Give a temporary file beside `path`, and rename it to `path` if there is no error.
 
     It has the suffix of `path`, for writers that choose the format by it, and the usual permissions
@@ -60,7 +60,7 @@ def _temporary(target: Path) -> Iterator[Path]:
     temporary = target.with_name(f".{target.stem}.{secrets.token_hex(4)}{target.suffix}")
     _UNFINISHED.add(temporary)
     try:
-        with _output_errors(target, "written"):
+        with _output_errors(target, "cannot be written"):
             temporary.open("xb").close()
             yield temporary
     finally:
@@ -71,18 +71,18 @@ def _temporary(target: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def _output_errors(target: str | os.PathLike[str], what: str) -> Iterator[None]:
+def _output_errors(target: PathLike, what: str) -> Iterator[None]:
     """Turn an OSError into an OutputError: the output cannot be written or made."""
     try:
         yield
     except OutputError:
         raise
     except OSError as error:
-        raise OutputError(f"{target}: cannot be {what} ({error.strerror or error})") from error
+        raise OutputError(f"{target}: {what} ({error.strerror or error})") from error
 
 
 @contextmanager
-def claim(output: str | os.PathLike[str]) -> Iterator[None]:
+def claim(output: PathLike) -> Iterator[None]:
     """Keep other processes and threads from an output that is written in many steps.
 
     A function may claim what its caller has claimed. OutputError that names the other process.
@@ -94,7 +94,7 @@ def claim(output: str | os.PathLike[str]) -> Iterator[None]:
         return
     lock = target.with_name(f".{target.name}.lock")
     with ExitStack() as stack:
-        with _output_errors(output, "written"):
+        with _output_errors(output, "cannot be written"):
             try:
                 stack.enter_context(file_lock(lock))
             except BlockingIOError as error:
@@ -116,9 +116,9 @@ def discard_unfinished() -> None:
 
 
 def check_output(
-    path: str | os.PathLike[str],
+    path: PathLike,
     suffixes: Collection[str],
-    inputs: Iterable[str | os.PathLike[str] | None] = (),
+    inputs: Iterable[PathLike | None] = (),
 ) -> None:
     """Refuse an output that cannot be written, before anything is computed for it.
 
@@ -136,9 +136,7 @@ def check_output(
     _check_place(target)
 
 
-def refuse_inputs(
-    path: str | os.PathLike[str], inputs: Iterable[str | os.PathLike[str] | None]
-) -> None:
+def refuse_inputs(path: PathLike, inputs: Iterable[PathLike | None]) -> None:
     """Raise an OutputError if an output is one of the files that are read for it."""
     target = Path(path)
     if target.exists() and any(
@@ -155,7 +153,7 @@ def _check_place(target: Path) -> None:
         pass
 
 
-def check_folder(path: str | os.PathLike[str], parents: bool = False) -> Path:
+def check_folder(path: PathLike, parents: bool = False) -> Path:
     """Refuse a folder for results that cannot be written, before anything is computed for it.
 
     OutputError if it is a file, or is named like one and does not exist yet, or if no file can be
@@ -198,12 +196,12 @@ def refuse_leftovers(folder: Path, pattern: str, names: Collection[str]) -> None
         raise OutputError(f"{folder}: {problem}; delete them, or give another folder")
 
 
-def make_folder(path: str | os.PathLike[str], parents: bool = False) -> Path:
+def make_folder(path: PathLike, parents: bool = False) -> Path:
     """Make a folder for results where it does not exist, as `check_folder` allows.
 
     OutputError if that fails.
     """
     target = check_folder(path, parents)
-    with _output_errors(target, "made"):
+    with _output_errors(target, "cannot be made"):
         target.mkdir(parents=parents, exist_ok=True)
     return target

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import base64
-import os
 from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from io import BytesIO, StringIO
 from pathlib import Path
 from typing import Any
 
+from .errors import PathLike
 from .output_file import atomic_write
 
 __all__ = ["html_card", "html_table", "to_svg", "write_page"]
 
 
-def write_page(path: str | os.PathLike[str], template: Path, **values: Any) -> None:
+def write_page(path: PathLike, template: Path, **values: Any) -> None:
     """Fill a template with values, which are escaped, and write it as a page.
 
     The page appears whole or not at all.

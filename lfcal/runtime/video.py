@@ -5,20 +5,19 @@ PyAV is the extra `video`. Values are rounded to the nearest one.
 
 from __future__ import annotations
 
-import os
 import re
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from .errors import FlatError
+from .arrays import Array
+from .errors import FlatError, PathLike
 from .packages import import_package
 
 __all__ = ["convert_frame", "import_av", "parse_pixel_format", "rgb_pixels"]
 
 
-def import_av(path: str | os.PathLike[str]) -> Any:
+def import_av(path: PathLike) -> Any:
     """The package `av`; FlatError with the name of the file if it is not installed."""
     return import_package("av", f"{path}: videos need", FlatError)
 
@@ -35,7 +34,7 @@ def convert_frame(frame: Any, name: str, **options: Any) -> Any:
     return frame.reformat(format=name, interpolation=sum(map(int, flags)), **options)
 
 
-def rgb_pixels(frame: Any) -> NDArray[Any]:
+def rgb_pixels(frame: Any) -> Array:
     """Pixels (h, w, 3) of a frame of PyAV.
 
     They are uint16 if the frame has more than 8 bits a colour, else uint8.

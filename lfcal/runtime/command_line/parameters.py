@@ -10,7 +10,7 @@ import os
 import re
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from glob import glob, has_magic
 from pathlib import Path
 from typing import Any
@@ -142,16 +142,18 @@ class InputPath(click.Path):
 class OutputPath(click.Path):
     """A file or folder to be written.
 
-    `-` is stdout, in the format `piped`; `-.tif` is stdout in the format of that suffix. A command
-    refuses an output that is one of its inputs, other than the parameter `replaces`.
+    `-` is stdout, in the format `piped`; `-.tif` is stdout in the format of that suffix. Before any
+    work, a command refuses a file that cannot be written, has none of the `suffixes`, or is one of
+    its inputs, other than the parameter `replaces`.
     """
 
     name = "path"
 
-    def __init__(self, piped: str = "", replaces: str = "") -> None:
+    def __init__(self, piped: str = "", replaces: str = "", suffixes: Collection[str] = ()) -> None:
         super().__init__(path_type=Path)
         self.piped = piped
         self.replaces = replaces
+        self.suffixes = suffixes
 
     def convert(self, value: Any, param: _Parameter, ctx: _Context) -> Any:
         if ctx is None or not (value == "-" or str(value).startswith("-.")):

@@ -6,7 +6,7 @@ import os
 import re
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from difflib import SequenceMatcher
 from functools import reduce, wraps
 from pathlib import Path
@@ -17,7 +17,7 @@ import click
 import cloup
 
 from ..errors import LightFieldError
-from ..output_file import refuse_inputs
+from ..output_file import check_output, refuse_inputs
 from .interrupts import INTERRUPTED, handle_interrupts, leave_if_interrupted
 from .parameters import INPUTS, InputPath, OutputPath, Pair, name_pipes
 from .report import Report, echo, echo_json
@@ -214,6 +214,8 @@ class _Command(cloup.Command):
             first = outputs.setdefault(os.path.realpath(path), option)
             if first != option:
                 raise click.UsageError(f"{first} and {option} name the same output {path}", ctx)
+            if param.type.suffixes:
+                check_output(path, param.type.suffixes)
             # A Zarr array is a folder.
             if path.suffix.lower() == ".zarr" or not path.is_dir():
                 replaced = ctx.params.get(param.type.replaces)
@@ -235,16 +237,21 @@ def option(
 
 
 def output_option(
-    metavar: str, text: str, piped: str = "", replaces: str = "", **more: Any
+    metavar: str,
+    text: str,
+    piped: str = "",
+    replaces: str = "",
+    suffixes: Collection[str] = (),
+    **more: Any,
 ) -> Callable[[Any], Any]:
     """The option `--output`; `piped` is the format on stdout with `-`, empty if refused.
 
-    The output may replace the input `replaces`.
+    The output has one of the `suffixes`, if they are given, and may replace the input `replaces`.
     """
     if piped:
         text += f" With -, {piped[1:].upper()} to stdout."
     more.setdefault("required", True)
-    return option("-o --output", OutputPath(piped, replaces), text, metavar, **more)
+    return option("-o --output", OutputPath(piped, replaces, suffixes), text, metavar, **more)
 
 
 #: Type of an argument that names a file to read.

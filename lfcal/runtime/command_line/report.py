@@ -13,7 +13,7 @@ from typing import Any
 import click
 import msgspec
 
-from ..errors import LightFieldError
+from ..errors import LightFieldError, PathLike
 from ..progress import ProgressDisplay
 from .parameters import is_piped, name_pipes
 
@@ -142,7 +142,7 @@ def table(figures: Mapping[str, Any]) -> list[str]:
 
 
 @contextmanager
-def name_file_in_errors(path: str | os.PathLike[str]) -> Iterator[None]:
+def name_file_in_errors(path: PathLike) -> Iterator[None]:
     """Put the name of a file before errors that do not have it."""
     try:
         yield

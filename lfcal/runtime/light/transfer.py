@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+
+from ..arrays import Floats
 
 __all__ = ["disc_transfer"]
 
 
-def disc_transfer(periods: NDArray[np.float64]) -> NDArray[np.float64]:
+def disc_transfer(periods: Floats) -> Floats:
     """Transfer function of a uniform disc, `2 J1(x) / x`, at `periods` (...) across its diameter.
 
     Summed by Gauss-Chebyshev quadrature over the profile of the disc (Abramowitz and Stegun 1964,
