@@ -151,16 +151,6 @@ def _extract(begin, end, image, middle, means, half, width, rows, step, wanted, 
             strip[k] -= mean
 
 
-@kernel
-def _clear_beyond(size, spare, wanted, done, values):
-    """Set values after a strip to 0: vector loops read them, and they must not be NaN."""
-    for lens in range(len(wanted)):
-        if wanted[lens]:
-            for k in range((lens + 1) * size, min((lens + 1) * size + spare, len(wanted) * size)):
-                if not done[k // size]:
-                    values[k] = 0.0
-
-
 def extract_strips(
     gray: GrayFlat, means: NDArray[np.float32], step: int, wanted: NDArray[np.bool_] | None = None
 ) -> Strips:
@@ -184,16 +174,7 @@ def extract_strips(
         strips.extracted,
         strips.values,
     )
-    if wanted is not None:
-        _clear_beyond(
-            strips.size, _spare_values(strips.width), wanted, strips.extracted, strips.values
-        )
     return strips
-
-
-def _spare_values(width: int) -> int:
-    """Number of values after a strip that vector loops may read."""
-    return VECTOR_LENGTH + width
 
 
 def _allocate_strips(gray: GrayFlat, means: NDArray[np.float32], step: int) -> Strips:
@@ -203,8 +184,9 @@ def _allocate_strips(gray: GrayFlat, means: NDArray[np.float32], step: int) -> S
     rows = -(-width // step)
     middle = np.rint(gray.centres).astype(np.int32)
     inside = (middle >= half) & (middle + half < np.array(gray.image.shape[::-1]))
-    values = np.empty((len(middle) * rows * step * width + _spare_values(width),), np.float32)
-    values[-_spare_values(width) :] = 0.0
+    # Vector loops read beyond the end of a strip, where values must be numbers. The memory of
+    # strips that are not cut out is not touched.
+    values = np.zeros(len(middle) * rows * step * width + VECTOR_LENGTH + width, np.float32)
     return Strips(
         means,
         values,
