@@ -145,10 +145,16 @@ def _interpolate_difference(flat, lens, colours, near, similar, wanted, guide, y
     around of that colour, weighted by distance and by similarity of the guide.
     """
     reach = len(near) - 1
+    own = lens[y, x]
+    left = x - reach
     total = weights = np.float32(0.0)
     for v in range(y - reach, y + reach + 1):
-        for u in range(x - reach, x + reach + 1):
-            if colours[v & 1, u & 1] == wanted and _belongs(lens, lens[y, x], v, u):
+        # Every second pixel of a row has a colour, or none.
+        first = left if colours[v & 1, left & 1] == wanted else left + 1
+        if colours[v & 1, first & 1] != wanted:
+            continue
+        for u in range(first, x + reach + 1, 2):
+            if _belongs(lens, own, v, u):
                 unlike = out[v, u, guide] - out[y, x, guide]
                 weight = near[abs(v - y)] * near[abs(u - x)] / (unlike * unlike + similar * similar)
                 total += weight * (np.float32(flat[v, u]) - out[v, u, guide])
