@@ -29,7 +29,7 @@ from .measure_evidence import Marks, add_overlap, add_parallax, measure_evidence
 from .spectrum import find_periods, is_same_lattice
 from .tile_lattice import fit_harmonics, has_run_away, refine_basis
 
-__all__ = ["Candidate", "find_candidates", "measure_basis", "measure_lattice"]
+__all__ = ["TOUCHING", "Candidate", "find_candidates", "measure_basis", "measure_lattice"]
 
 #: [px] shortest distance between microimages: smaller ones hold too few pixels.
 _SHORTEST = 6.0
@@ -50,7 +50,7 @@ _LIKELY = 0.5
 #: Probability from which on lines and circles propose no better lattice: not on the shared flats.
 _SURE = 0.96
 #: Contrast of lines between lenses from which on these may touch each other: lines place them then.
-_TOUCHING = 0.5
+TOUCHING = 0.5
 
 
 @dataclass(frozen=True)
@@ -316,7 +316,7 @@ def _refine_candidate(rough: Candidate) -> list[Candidate]:
     lattice = rough.lattice
     maps = rough.maps
     fit = fit_harmonics(maps.tiles[1:], lattice.origin)
-    if rough.evidence.borders > _TOUCHING:
+    if rough.evidence.borders > TOUCHING:
         lines = fit_touching_cells(rough.features.steps, lattice.basis)
         if lines.half_difference < fit.half_difference:
             fit = lines

@@ -26,11 +26,7 @@ _PARTS = 4
 # Least correlation of the average cell of a part with the gain map. Right cameras have 0.71 to 0.97
 # on eleven captures; with a half or a third of the cell, 0.81 at most, at shifts of 0.06 and more.
 _MATCH = 0.7
-# Largest shift in the middle, shift of a corner against it, and shift of a part beside a linear
-# function of the place [pitch]. The first two are half of those that `check_camera`
-# warns of.
-_SHIFT = 0.03
-_STRETCH = 0.0165
+# Largest shift of a part beside a linear function of the place [pitch].
 _BESIDE = 0.06
 
 
@@ -63,7 +59,7 @@ def match_gain(calibration: Calibration, small: Lattice, picture: Singles) -> Mi
     line = np.linalg.lstsq(design, shifts, rcond=None)[0]
     misfit = Misfit(line[0], line[1:], small.image_size, small.pitch)
     beside = np.linalg.norm(shifts - design @ line, axis=1).max() / small.pitch
-    if misfit.distance < _SHIFT and misfit.stretch < _STRETCH and beside < _BESIDE:
+    if misfit.is_negligible and beside < _BESIDE:
         return misfit
     return None
 

@@ -88,6 +88,11 @@ class Misfit(NamedTuple):
         return float(np.linalg.norm(self.linear, 2)) < _SAME_BASIS or self.stretch < MOST_STRETCH
 
     @property
+    def is_negligible(self) -> bool:
+        """Whether the offset is at most half of those that `check_camera` warns of."""
+        return self.distance < MOST_SHIFT / 2 and self.stretch < MOST_STRETCH / 2
+
+    @property
     def is_small(self) -> bool:
         """Whether the offset may be that of a right camera."""
         near = self.distance + self.stretch < _CORNER
