@@ -16,13 +16,12 @@ from lfcal.runtime.command_line import Report, name_file_in_errors
 from lfcal.runtime.image_formats import RAW_SUFFIX, TIFF_SUFFIXES, VIDEO_FORMATS, Mosaic
 
 from ..runtime.choices import Preset
-from ..runtime.types import Entries
+from ..runtime.types import Entries, Region
 from .printed import figures
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from lfcal import Calibration, FlatSource, Optics
+    from lfcal.runtime.arrays import Array
 
     from ..data.depth_map import DepthMap
     from ..data.rendering import Rendering
@@ -55,7 +54,7 @@ class CaptureInput:
     depth_file: Path | None = None
     dark: Path | None = None  # frame that is subtracted from the flat and from the white image
     preset: Preset | None = None
-    roi: tuple[float, float, float, float] | None = None
+    roi: Region | None = None
     mosaic: Mosaic | None = None
     page: int | None = None  # of a TIFF of several pictures, or of a video
     # Of raw video; with a camera file that has it, the size is that of the camera.
@@ -74,17 +73,17 @@ class CaptureInput:
         """The preset that was given, or that of the recording."""
         return self.preset or (self.recording.preset if self.recording else "balanced")
 
-    def load(self) -> tuple[NDArray[Any], Calibration, DepthMap]:
+    def load(self) -> tuple[Array, Calibration, DepthMap]:
         """The flat in colour, its camera and its depth."""
         pixels, calibration = self.calibrate(self.read())
         return pixels, calibration, self.analyze(pixels, calibration)
 
-    def read(self) -> NDArray[Any]:
+    def read(self) -> Array:
         """The pixels of the flat."""
         with self.report.stage("read"):
             return self.read_pixels()
 
-    def read_pixels(self) -> NDArray[Any]:
+    def read_pixels(self) -> Array:
         """The pixels of the flat, less the dark frame."""
         from lfcal import read_flat
 
@@ -150,37 +149,29 @@ class CaptureInput:
 
     def raw_layout(self, inputs: Iterable[Path]) -> Entries:
         """How raw video among the `inputs` is read, as options of `lfcal.read_flat`."""
-        size = self.size
-        if (
-            size is None
-            and self.camera is not None
-            and any(path.suffix.lower() == RAW_SUFFIX for path in inputs)
-        ):
+        found = {"size": self.size, "pixel_format": self.pixel_format}
+        raw = any(path.suffix.lower() == RAW_SUFFIX for path in inputs)
+        if raw and self.size is None and self.camera is not None:
             from lfcal import load
 
             with suppress(CameraFileError):
-                size = load(self.camera).image_size
-        return {"size": size, "pixel_format": self.pixel_format}
+                found["size"] = load(self.camera).image_size
+        return found
 
-    def subtract_dark(self, pixels: NDArray[Any]) -> NDArray[Any]:
+    def subtract_dark(self, pixels: Array) -> Array:
         """Pixels less the dark frame, if there is one."""
         if self.dark is None:
             return pixels
         from lfcal import subtract_dark
 
+        from ..sequence.frames import read_dark
+
         with name_file_in_errors(self.dark):
-            return subtract_dark(pixels, self._dark_frame)
-
-    @cached_property
-    def _dark_frame(self) -> NDArray[Any]:
-        from lfcal import read_flat
-
-        assert self.dark is not None
-        return read_flat(self.dark)
+            return subtract_dark(pixels, read_dark(self.dark))
 
     def calibrate(
-        self, pixels: NDArray[Any], known: Calibration | None = None
-    ) -> tuple[NDArray[Any], Calibration]:
+        self, pixels: Array, known: Calibration | None = None
+    ) -> tuple[Array, Calibration]:
         """The flat in colour and its camera: `known` from another flat if the pixels agree."""
         with self.report.stage("calibrate"):
             calibration = known
@@ -200,34 +191,28 @@ class CaptureInput:
         """
         if self.mosaic is not None and len(pixels.shape) == 3:
             raise click.UsageError(f"{self.flat} is in colour already; leave out --mosaic")
-        known = None
+        known = self.camera is not None
         if self.camera is not None:
-            known = self._read_camera(self.camera, pixels)
-        elif self.white is None and self.recording is not None:
-            known = self.recording.camera
-        if known is not None:
-            import numpy as np
-
-            calibration = known
-            if self.mosaic is not None:
-                shown = pixels
-                if not isinstance(pixels, np.ndarray):
-                    shown = None
-                calibration = known.with_mosaic(self.mosaic, flat=shown)
+            calibration = self._read_camera(self.camera, pixels)
         elif self.white is not None:
             calibration = self._calibrate_white(self.white, pixels)
+        elif self.recording is not None and self.recording.camera is not None:
+            known = True
+            calibration = self.recording.camera
         else:
             calibration = self._calibrate_scene(pixels)
-        if calibration.encoded is not None:
-            return calibration
-        if self.flat.suffix.lower() in {*VIDEO_FORMATS, RAW_SUFFIX}:
-            return replace(calibration, encoded=True)
-        if self.dark is not None:
+        if known and self.mosaic is not None:
+            import numpy as np
+
+            shown = pixels if isinstance(pixels, np.ndarray) else None
+            calibration = calibration.with_mosaic(self.mosaic, flat=shown)
+        video = self.flat.suffix.lower() in {*VIDEO_FORMATS, RAW_SUFFIX}
+        if calibration.encoded is None and (video or self.dark is not None):
             # A dark frame can be subtracted from linear values only.
-            return replace(calibration, encoded=False)
+            return replace(calibration, encoded=video)
         return calibration
 
-    def _read_camera(self, path: Path, pixels: NDArray[Any] | FlatSource) -> Calibration:
+    def _read_camera(self, path: Path, pixels: Array | FlatSource) -> Calibration:
         """A camera file for flats of this size, as the pixels confirm it.
 
         Colour filters that a published one does not know are found on the flat.
@@ -242,9 +227,7 @@ class CaptureInput:
         calibration = load(path, (int(size[0]), int(size[1])))
         if isinstance(pixels, np.ndarray):
             checked = self._check(calibration, pixels, path)
-            if pixels.ndim == 2:
-                checked = checked.with_mosaic_of(pixels)
-            return widen_microimages(checked, pixels)
+            return widen_microimages(checked.with_mosaic_of(pixels), pixels)
         # The middle of a flat that is not in memory; even, so that a colour filter mosaic keeps its
         # phase.
         low = np.maximum(size - _CHECKED, 0) // 4 * 2
@@ -254,14 +237,11 @@ class CaptureInput:
         shown = replace(calibration, lattice=crop_lattice(lattice, low, high), gain_map=None)
         checked = self._check(shown, part, path)
         shift = checked.lattice.origin - shown.lattice.origin
-        calibration = replace(
-            calibration,
-            lattice=replace(lattice, origin=lattice.origin + shift),
-            warnings=checked.warnings,
-        )
-        return calibration.with_mosaic_of(part) if part.ndim == 2 else calibration
+        lattice = replace(lattice, origin=lattice.origin + shift)
+        moved = replace(calibration, lattice=lattice, warnings=checked.warnings)
+        return moved.with_mosaic_of(part)
 
-    def _calibrate_scene(self, pixels: NDArray[Any]) -> Calibration:
+    def _calibrate_scene(self, pixels: Array) -> Calibration:
         from lfcal import calibrate
 
         with name_file_in_errors(self.flat):
@@ -274,12 +254,12 @@ class CaptureInput:
         )
         return replace(calibration, warnings=(*calibration.warnings, warning))
 
-    def _calibrate_white(self, path: Path, pixels: NDArray[Any]) -> Calibration:
+    def _calibrate_white(self, path: Path, pixels: Array) -> Calibration:
         from lfcal import FlatError, calibrate, read_flat, widen_microimages
 
         white = read_flat(path)
-        if white.shape[:2] != pixels.shape[:2]:
-            own, other = (f"{flat.shape[1]} x {flat.shape[0]}" for flat in (white, pixels))
+        own, other = (f"{flat.shape[1]} x {flat.shape[0]}" for flat in (white, pixels))
+        if own != other:
             raise FlatError(
                 f"{path}: white image and flat must be of one size, they have {own} and {other} px"
             )
@@ -291,7 +271,7 @@ class CaptureInput:
         # Scenes show more of which filters are red.
         return widen_microimages(calibration.with_mosaic_of(pixels), pixels)
 
-    def _check(self, calibration: Calibration, pixels: NDArray[Any], source: Path) -> Calibration:
+    def _check(self, calibration: Calibration, pixels: Array, source: Path) -> Calibration:
         """The camera of a file or white image, as the pixels confirm it (`CameraCheck.apply`)."""
         from lfcal import check_camera
 
@@ -299,7 +279,7 @@ class CaptureInput:
             return calibration
         return check_camera(pixels, calibration).apply(calibration, source)
 
-    def analyze(self, pixels: NDArray[Any], calibration: Calibration, **options: Any) -> DepthMap:
+    def analyze(self, pixels: Array, calibration: Calibration, **options: Any) -> DepthMap:
         """The depth of the file, or of the flat in colour; `options` as for `lfrender.analyze`."""
         with self.report.stage("analyze"):
             if self.depth_file is not None:
@@ -310,7 +290,7 @@ class CaptureInput:
             options |= {"preset": self.chosen_preset, "check": False}
             return analyze(pixels, calibration, **options)
 
-    def read_depth(self, flat: NDArray[Any] | FlatSource | None) -> DepthMap:
+    def read_depth(self, flat: Array | FlatSource | None) -> DepthMap:
         """The depth of the file, with a warning if it was made from another flat of this size.
 
         Flats of a colour filter mosaic are checked in colour.
@@ -404,7 +384,7 @@ def is_published(path: Path) -> bool:
     return path.suffix.lower() != ".json"
 
 
-def _agrees(calibration: Calibration, pixels: NDArray[Any]) -> bool:
+def _agrees(calibration: Calibration, pixels: Array) -> bool:
     from lfcal import check_camera
 
     return calibration.image_size == pixels.shape[1::-1] and check_camera(pixels, calibration).fits

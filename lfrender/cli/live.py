@@ -14,6 +14,7 @@ from lfcal.runtime import command_line as cl
 from lfcal.runtime.command_line.interrupts import end_by_interrupt
 from lfcal.runtime.output_file import make_folder
 
+from ..runtime.types import Entries
 from .inputs import CaptureInput
 from .options import declare, refuse_together
 from .printed.results import PageResult
@@ -83,7 +84,7 @@ def live(report: cl.Report, given: Any) -> None:
     ):
         with report.stage("calibrate"):
             session.start(strict=bool(given.camera or given.white))
-        figures: dict[str, Any] = {"page": server.url, "warnings": []}
+        figures: Entries = {"page": server.url, "warnings": []}
         if session.camera is not None:
             figures["warnings"] += session.camera.warnings
         report.finish(figures, f"{session.about}.", f"{server.url} until Ctrl-C.")

@@ -10,6 +10,7 @@ from lfcal.runtime import command_line as cl
 from lfcal.runtime.image_formats import MOSAICS
 
 from ..runtime.choices import Detail, PoseFormat, Preset, Tone
+from ..runtime.types import Entries
 
 __all__ = ["TABLE"]
 
@@ -21,7 +22,7 @@ _POSITIVE = click.FloatRange(0, min_open=True)
 _SHARE = click.FloatRange(0, 1, min_open=True)
 
 
-def _row(*names_kind_help: Any, **more: Any) -> tuple[tuple[Any, ...], dict[str, Any]]:
+def _row(*names_kind_help: Any, **more: Any) -> tuple[tuple[Any, ...], Entries]:
     return names_kind_help, more
 
 

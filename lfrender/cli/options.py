@@ -17,6 +17,7 @@ import cloup
 from lfcal import LightFieldError
 from lfcal.runtime import command_line as cl
 
+from ..runtime.types import Entries
 from .inputs import CaptureInput
 from .option_table import TABLE
 
@@ -109,7 +110,7 @@ def capture_command(
 
 
 @contextmanager
-def connect_cluster(given: Any, report: cl.Report) -> Iterator[dict[str, Any]]:
+def connect_cluster(given: Any, report: cl.Report) -> Iterator[Entries]:
     """The arguments for work on the processes or the scheduler that `given` names."""
     if not (given.workers or given.scheduler):
         yield {}

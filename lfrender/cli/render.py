@@ -15,9 +15,8 @@ from .printed.results import RenderResult
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
     from lfcal import Calibration, FlatSource
+    from lfcal.runtime.arrays import Array
 
     from ..data.depth_map import DepthMap
 
@@ -207,7 +206,7 @@ def _check(capture: CaptureInput, given: Any) -> bool:
 
 
 def _find_depth(
-    capture: CaptureInput, pixels: NDArray[Any], calibration: Calibration, edges: bool | None
+    capture: CaptureInput, pixels: Array, calibration: Calibration, edges: bool | None
 ) -> DepthMap:
     from ..rendering.render import expand_roi
 

@@ -19,9 +19,8 @@ from .printed import figures
 from .printed.results import LensletResult, RefocusResult, ViewsResult
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from lfcal import Calibration
+    from lfcal.runtime.arrays import Array
 
     from ..data.depth_map import DepthMap
     from ..data.rendering import Rendering
@@ -267,7 +266,7 @@ def _write_views(
 
 def _write_posed(
     given: Any,
-    captured: tuple[NDArray[Any], Calibration, DepthMap],
+    captured: tuple[Array, Calibration, DepthMap],
     offsets: list[Place],
     counted: Callable[[Iterable[Any]], Iterator[Any]],
 ) -> Entries:

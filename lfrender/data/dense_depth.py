@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +15,7 @@ from lfcal.runtime.errors import check_type
 from lfcal.runtime.output_file import atomic_write, check_output
 from lfcal.runtime.packages import check_package
 
-from ..runtime.types import AnyPath
+from ..runtime.types import AnyPath, Entries
 from .depth_map import DEPTH_ADVICE, DepthMap, default_scale
 from .rendering import Picture, PictureGrid, check_scale, scene_points
 from .surface import edge_step, sample_surface_at
@@ -187,7 +186,7 @@ def write_dense(path: AnyPath, dense: DenseDepth, distance: Singles | None = Non
             _write_pages(temporary, values, dense, about)
 
 
-def _write_pages(path: Path, values: Singles, dense: DenseDepth, about: dict[str, Any]) -> None:
+def _write_pages(path: Path, values: Singles, dense: DenseDepth, about: Entries) -> None:
     import tifffile
 
     with tifffile.TiffWriter(path) as file:
@@ -195,7 +194,7 @@ def _write_pages(path: Path, values: Singles, dense: DenseDepth, about: dict[str
         for text, name in _FURTHER.items():
             description = json.dumps(about | {"content": text})
             # Compressed unlike the first page: readers would take equal pages for a stack.
-            options: dict[str, Any] = {"description": description, "compression": "zlib"}
+            options: Entries = {"description": description, "compression": "zlib"}
             file.write(getattr(dense, name), metadata=None, **options)
 
 

@@ -18,7 +18,7 @@ from lfcal.runtime.input_file import open_regular
 from lfcal.runtime.output_file import atomic_write
 
 from ..runtime.messages import one_line
-from ..runtime.types import AnyPath, Size
+from ..runtime.types import AnyPath, Entries, Size
 from .frame_state import FrameState, LocalMatch
 from .surface import Surface
 
@@ -42,20 +42,12 @@ _VERSION = 2
 LARGEST_RATIO = 50
 SMALL = 1 << 26
 # Arrays and numbers of a file that bear the name of their field; derived ones are for other
-# programs.
+# programs, and those of the third row may be unknown.
 _SAVED = (
-    "patch_size",
-    "standard_error",
-    "confidence",
-    "reason",
-    "pitch",
-    "image_size",
-    "preset",
-    "mode",
-    "magnification",
-    "filled",
+    *("patch_size", "standard_error", "confidence", "reason", "pitch", "image_size", "preset"),
+    *("mode", "magnification", "filled"),
+    *(_OPTIONAL := ("flat_samples", "centres", "camera")),
 )
-_OPTIONAL = ("flat_samples", "centres", "camera")
 # [pitch] by which the grid of a surface may end before the border of the flat, or beyond it; its
 # spacing, where that is larger.
 _BORDER = 2
@@ -125,29 +117,26 @@ class DepthFileError(LightFieldError, ValueError):
 def write_depth(depth: DepthMap, path: AnyPath) -> None:
     """Write as `.npz`; the file appears whole or not at all."""
     surface = depth.surface
-    reference = depth.frame_state.reference
-    kept = depth.frame_state.kept
-    values: dict[str, Any] = {"version": np.int64(_VERSION)}
-    values["surface_spacing"] = surface.spacing
-    values |= {name: getattr(depth, name) for name in (*_SAVED, *_OPTIONAL)}
+    state = depth.frame_state
+    values: Entries = {name: getattr(depth, name) for name in _SAVED}
     values |= {
+        "version": np.int64(_VERSION),
         "drawn": depth.filled_patch_size,
         "surface": surface.patch_size,
         "surface_first": surface.first,
+        "surface_spacing": surface.spacing,
         "saved_by": np.array(list(depth.saved), str),
         "saved": np.array(list(depth.saved.values()), np.float64),
         "lens_blur": depth.lens_blur and json.dumps(depth.lens_blur.to_dict()),
     }
-    if reference is not None and kept is not None:
+    if state.reference is not None and state.kept is not None:
         # Without it, many small changes would pass once the depth has been loaded again.
-        values["kept"] = kept
-        values |= {f"kept_{name}": value for name, value in reference._asdict().items()}
-    known: dict[str, Any] = {
-        name: np.asarray(value) for name, value in values.items() if value is not None
-    }
+        values["kept"] = state.kept
+        values |= {f"kept_{name}": value for name, value in state.reference._asdict().items()}
+    known = {name: np.asarray(value) for name, value in values.items() if value is not None}
     known["digest"] = np.array(_digest(known))
     with atomic_write(Path(path)) as temporary, open(temporary, "wb") as stream:
-        np.savez(stream, **known)
+        np.savez(stream, **known)  # type: ignore[arg-type]
 
 
 def read_depth(path: AnyPath, make: Callable[..., DepthMap]) -> DepthMap:
@@ -178,28 +167,23 @@ def read_depth(path: AnyPath, make: Callable[..., DepthMap]) -> DepthMap:
         raise DepthFileError(f"{path}: {problem}; {remedy}") from error
 
 
-def _fields_of(data: dict[str, Any]) -> dict[str, Any]:
+def _fields_of(data: Entries) -> Entries:
     """The fields of a depth map from the arrays of its file."""
-    found: dict[str, Any] = {
-        name: data[name] for name in ("patch_size", "standard_error", "confidence")
-    }
-    place = (tuple(data["surface_first"].tolist()), float(data["surface_spacing"]))
-    found |= {
-        "filled_patch_size": data["drawn"],
-        "surface": Surface(np.ascontiguousarray(data["surface"], np.float32), *place),
-        "pitch": float(data["pitch"]),
-        "image_size": tuple(data["image_size"].tolist()),
-        "preset": str(data["preset"]),
-        "reason": data.get("reason"),
-    }
+    names = ("patch_size", "standard_error", "confidence", "pitch", "image_size", "preset")
+    found = {name: data[name] for name in names}
+    found |= {name: data[name] for name in ("reason", *_OPTIONAL) if np.size(data.get(name, ()))}
+    # Numbers and texts as those of Python.
+    found |= {name: value.tolist() for name, value in found.items() if value.dtype.kind == "U"}
+    found["pitch"] = float(data["pitch"])
+    for name in {"flat_samples", "centres"}.intersection(found):
+        found[name] = found[name].astype(np.float32)
+    x, y = data["surface_first"].tolist()
+    values = np.ascontiguousarray(data["surface"], np.float32)
+    found["surface"] = Surface(values, (x, y), float(data["surface_spacing"]))
+    found["filled_patch_size"] = data["drawn"]
     if "saved" in data:
         pairs = zip(data["saved_by"].tolist(), data["saved"].tolist(), strict=True)
         found["saved"] = dict(pairs)
-    for name in ("flat_samples", "centres"):
-        if name in data and data[name].size:
-            found[name] = data[name].astype(np.float32)
-    if "camera" in data:
-        found["camera"] = str(data["camera"])
     if "lens_blur" in data:
         found["lens_blur"] = LensBlur.from_dict(json.loads(str(data["lens_blur"])))
     if "kept" in data:
@@ -229,7 +213,7 @@ def check_extent(depth: DepthMap) -> None:
         )
 
 
-def _digest(arrays: dict[str, Any]) -> str:
+def _digest(arrays: Entries) -> str:
     """SHA-256 of arrays, with their names, types and shapes."""
     digest = hashlib.sha256()
     for name in sorted(arrays):

@@ -15,7 +15,7 @@ from lfcal.runtime.errors import CAMERA_ADVICE, check_type
 from lfcal.runtime.page import html_card
 
 from ..flat.lens_graph import nearest_lens
-from ..runtime.types import AnyPath, Size
+from ..runtime.types import AnyPath, Entries, Place, Size
 from .depth_file import DepthFileError, check_extent, read_depth, write_depth
 from .depth_order import depth_limits, depth_order, magnification_at
 from .flat_samples import is_same_flat, sample_flat
@@ -308,7 +308,7 @@ class DepthMap(Frozen):
             shown[self.filled[lens]] = np.nan
         first = np.array(surface.first) - surface.spacing / 2
         last = first + surface.spacing * np.array(shown.shape[::-1])
-        look: dict[str, Any] = {"vmin": far, "vmax": near, "cmap": "viridis"}
+        look: Entries = {"vmin": far, "vmax": near, "cmap": "viridis"}
         drawn = show_on_axes(ax, shown, first, last, "Depth", interpolation="nearest", **look)
         drawn.axes.set_facecolor(np.array(MODE_COLOURS[0]) / 255)
         label = "M, from far to near (grey: unresolved)"
@@ -364,7 +364,7 @@ def finite(values: Array) -> Array:
     return values[np.isfinite(values)]
 
 
-def magnification_range(magnification: Array) -> tuple[float, float]:
+def magnification_range(magnification: Array) -> Place:
     """Ends of a scale that holds 98 % of these magnifications, at least a fifth wide."""
     low, high = np.percentile(magnification, MOST)
     return float(low), float(max(high, _NARROWEST_SCALE * low))

@@ -8,6 +8,8 @@ import numpy as np
 
 from lfcal.runtime.arrays import MOST, Array
 
+from ..runtime.types import Place
+
 if TYPE_CHECKING:
     from .depth_map import DepthMap
 
@@ -22,7 +24,7 @@ __all__ = [
 ]
 
 #: Ends of a scale of depths in the order of `depth_order`: far and near.
-DepthLimits = tuple[float, float]
+DepthLimits = Place
 # Ends of the scale of a depth map without depth.
 _LIMITS_OF_NONE = (0.1, 1.9)
 # Least difference of both ends: on a scale of one plane, errors would look like depth.

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from lfcal import Calibration
 from lfcal.runtime.errors import CAMERA_ADVICE, check_type
 
+from ..runtime.types import Entries
 from .depth_map import DEPTH_ADVICE, DepthMap
 from .rendering import PICTURE_ADVICE, Rendering
 
@@ -21,7 +22,7 @@ def napari_layers(
     calibration: Calibration | None = None,
     depth: DepthMap | None = None,
     rendering: Rendering | None = None,
-) -> list[tuple[Any, dict[str, Any], str]]:
+) -> list[tuple[Any, Entries, str]]:
     """Layers of napari, one for each given argument, in coordinates of the flat (`y, x`).
 
     Add them by `for layer in napari_layers(...):
@@ -37,7 +38,7 @@ def napari_layers(
     >>> [kind for _, _, kind in napari_layers(*lfrender.data.example())]
     ['image', 'image', 'points']
     """
-    layers: list[tuple[Any, dict[str, Any], str]] = []
+    layers: list[tuple[Any, Entries, str]] = []
     if flat is not None:
         pixels = np.asarray(flat)
         layers.append((pixels, {"name": "flat", "rgb": pixels.ndim == 3}, "image"))

@@ -16,7 +16,7 @@ from lfcal.runtime.light.tone import exposure_gain, is_encoded, to_eight_bits
 from lfcal.runtime.packages import import_package
 from lfcal.runtime.page import html_card
 
-from ..runtime.types import AnyPath, Size
+from ..runtime.types import AnyPath, Entries, Region, Size, Triple
 
 if TYPE_CHECKING:
     from lfcal import Calibration
@@ -94,7 +94,7 @@ class PictureGrid:
         left, top, right, bottom = part
         return _intersect(self.whole, (left - halo, top - halo, right + halo, bottom + halo))
 
-    def part_of_region(self, roi: tuple[float, float, float, float]) -> Part:
+    def part_of_region(self, roi: Region) -> Part:
         """Columns and rows whose scene points lie in `x0, y0, x1, y1`, at least one of each."""
         corners = (np.array(roi).reshape(2, 2) - self.first) / self.spacing
         return pixels_between(corners, self.size)
@@ -246,7 +246,7 @@ class Rendering(Picture, Frozen):
     white: float | None = None
     noise: float | None = None
     encoded: bool | None = None
-    white_balance: tuple[float, float, float] | tuple[()] | None = None
+    white_balance: Triple | tuple[()] | None = None
     _layers = ("image", "valid")
 
     def save(self, path: AnyPath, **options: Any) -> None:
@@ -265,7 +265,7 @@ class Rendering(Picture, Frozen):
         image = to_eight_bits(image, self.white, gain, self.encoded)
         height, width = image.shape[:2]
         corners = self.affine @ [-0.5, -0.5, 1], self.affine @ [width - 0.5, height - 0.5, 1]
-        look: dict[str, Any] = {"cmap": "gray", "vmin": 0, "vmax": 255}
+        look: Entries = {"cmap": "gray", "vmin": 0, "vmax": 255}
         shown = np.squeeze(image)
         title = f"{self.scale:.1f} px per pitch"
         return show_on_axes(ax, shown, *corners, title, **look).axes

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 from lfcal import OutputError
 
-from ..runtime.types import Size
+from ..runtime.types import Entries, Size
 
 if TYPE_CHECKING:
     from data_synth import BoardShoot, Camera, Capture
@@ -73,7 +73,7 @@ def _scene(name: str, about: str) -> Callable[..., Capture]:
         from data_synth import SCENES, Camera, load_capture, simulate
 
         design = Camera.design(size=size, pitch=pitch, **camera)
-        recipe: dict[str, Any] = {"samples": samples, "seed": seed}
+        recipe: Entries = {"samples": samples, "seed": seed}
 
         def trace() -> Capture:
             return simulate(SCENES[name](design, seed=seed), design, noise=SENSOR_NOISE, **recipe)
@@ -135,7 +135,7 @@ def board(
     from data_synth import BoardShoot, Camera, shoot_board
 
     design = Camera.design(size=size, pitch=pitch, **camera)
-    recipe: dict[str, Any] = {"poses": poses, "samples": samples, "seed": seed}
+    recipe: Entries = {"poses": poses, "samples": samples, "seed": seed}
     shoot: BoardShoot = _cached(
         "board", design, recipe, BoardShoot.load, lambda: shoot_board(design, **recipe)
     )
@@ -145,7 +145,7 @@ def board(
 def _cached(
     name: str,
     camera: Camera,
-    recipe: dict[str, Any],
+    recipe: Entries,
     load: Callable[[Path], Any],
     make: Callable[[], Any],
 ) -> Any:

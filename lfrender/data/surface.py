@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lfcal.runtime.arrays import Frozen, Singles
 from lfcal.runtime.kernels import FAST, kernel
 
-from ..runtime.types import Size
+from ..runtime.types import Place, Size
 
 __all__ = [
     "DepthGrid",
@@ -84,7 +84,7 @@ class Surface(Frozen):
     """
 
     patch_size: Singles
-    first: tuple[float, float]
+    first: Place
     spacing: float
 
     def __post_init__(self) -> None:

@@ -23,7 +23,7 @@ from lfcal.runtime.light.tone import (
 
 from ..data.rendering import Rendering, finish_picture
 from ..runtime.choices import Tone, check_choice
-from ..runtime.types import AnyPath, Triple
+from ..runtime.types import AnyPath, Entries, Triple
 from .formats import FORMATS, PictureFormat
 
 __all__ = ["FILM_WHITE", "Finish", "flat_picture", "to_display"]
@@ -193,9 +193,9 @@ class Finish:
         options = {"white": white, "gain": gains, "encoded": encoded, "top": top}
         return apply_tone(pixels, dtype, srgb, **options), srgb
 
-    def entries(self, shown: Rendering) -> dict[str, Any]:
+    def entries(self, shown: Rendering) -> Entries:
         """What a file says of a picture that was finished."""
-        entries: dict[str, Any] = {"tone": "srgb" if shown.encoded else "linear"}
+        entries: Entries = {"tone": "srgb" if shown.encoded else "linear"}
         if self.gain != 1:
             entries["exposure_gain"] = self.gain
         if self.balance != _NONE:

@@ -48,12 +48,11 @@ def lenslet_image(views: ArrayLike) -> tuple[Array, Calibration]:
             f"views have shape (rows, columns, h, w) or (rows, columns, h, w, 3), got {grid.shape}"
         )
     rows, columns, height, width = grid.shape[:4]
-    flat = np.moveaxis(grid, (2, 0, 3, 1), (0, 1, 2, 3)).reshape(
-        height * rows, width * columns, *grid.shape[4:]
-    )
-    origin = ((columns - 1) / 2, (rows - 1) / 2)
-    basis = ((columns, 0), (0, rows))
-    lattice = Lattice(np.array(origin), np.array(basis), flat.shape[1::-1], min(rows, columns) / 2)
+    # Row and column of a view become those within a lens.
+    lenses = np.moveaxis(grid, (0, 1), (1, 3))
+    flat = lenses.reshape(height * rows, width * columns, *grid.shape[4:])
+    origin = np.array([columns - 1, rows - 1]) / 2
+    lattice = Lattice(origin, np.diag([columns, rows]), flat.shape[1::-1], min(rows, columns) / 2)
     return np.ascontiguousarray(flat), Calibration(lattice)
 
 
@@ -89,7 +88,7 @@ def lenslet_views(flat: ArrayLike, calibration: Calibration) -> Array:
     width = (pixels.shape[1] - left) // columns
     used = pixels[top : top + height * rows, left : left + width * columns]
     lenses = used.reshape(height, rows, width, columns, *pixels.shape[2:])
-    return np.moveaxis(lenses, (1, 3, 0, 2), (0, 1, 2, 3))
+    return np.moveaxis(lenses, (1, 3), (0, 1))
 
 
 def read_view_grid(inputs: Iterable[Path], grid: Size | None = None) -> Array:
@@ -143,14 +142,11 @@ def _arrange(numbers: dict[Path, list[int]]) -> tuple[Size, list[Path]]:
             "names of views have their row and column, as row1_column1; else give --grid "
             "ROWSxCOLUMNS"
         )
-    rows, columns = map(sorted, map(set, zip(*cells, strict=True)))
-    grid = (len(rows), len(columns))
+    rows, columns = (sorted(set(places)) for places in zip(*cells, strict=True))
     order = list(product(rows, columns))
-    problem = None if len(cells) == len(numbers) else "several views have one row and column"
-    for cell in order:
-        if cell not in cells:
-            problem = "there is no view of row {}, column {}".format(*cell)
-            break
-    if problem is not None:
-        raise FlatError(f"a grid of {grid[0]} x {grid[1]} views: {problem}")
-    return grid, [cells[cell] for cell in order]
+    problems = ["there is no view of row {}, column {}".format(*c) for c in order if c not in cells]
+    if len(cells) < len(numbers):
+        problems.append("several views have one row and column")
+    if problems:
+        raise FlatError(f"a grid of {len(rows)} x {len(columns)} views: {problems[0]}")
+    return (len(rows), len(columns)), [cells[cell] for cell in order]

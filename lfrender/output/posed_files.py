@@ -11,7 +11,7 @@ import json
 from collections.abc import Callable, Iterable
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ from lfcal.runtime.output_file import atomic_write, make_folder, refuse_leftover
 from ..data.depth_map import DepthMap
 from ..data.rendering import Rendering, scene_points
 from ..runtime.choices import PoseFormat
-from ..runtime.types import AnyPath
+from ..runtime.types import AnyPath, Entries, Place
 from .finish import Finish, to_display
 from .picture import write_finished, write_picture
 from .poses import ViewCamera, ViewRig, view_rig
@@ -39,8 +39,9 @@ _RARE = 1e-3
 _GREY = 0x8000
 # Distance of the pixels of the middle view that become points [px].
 _TRACK_STEP = 4
-# Names of the masks, as each program looks for them.
-_MASK_NAMES = {"nerfstudio": "{}.png", "colmap": "{}.png.png"}
+# Endings of the names of masks, as each program looks for them, and of the maps for stereo fusion.
+_MASKS = {"nerfstudio": ".png", "colmap": ".png.png"}
+_MAPS = ".png.geometric.bin"
 
 
 def _view_name(number: int) -> str:
@@ -65,15 +66,16 @@ def check_posed_folder(folder: AnyPath, kind: PoseFormat, count: int) -> None:
     """
     if kind == "rvs":
         check_raw_format(folder, "yuv")
-    views = [_view_name(number) for number in range(count)]
-    mask = _MASK_NAMES.get(kind, "")
-    kept = {f"{view}{suffix}" for view in views for suffix in (".png", ".exr", ".tif")}
-    refuse_leftovers(Path(folder) / "images", _VIEW_FILES, kept)
-    refuse_leftovers(Path(folder) / "depth", _VIEW_FILES, kept)
-    refuse_leftovers(Path(folder) / "masks", _VIEW_FILES, [mask.format(view) for view in views])
-    for maps in ("depth_maps", "normal_maps"):
-        kept = {f"{view}.png.geometric.bin" for view in views}
-        refuse_leftovers(Path(folder) / "stereo" / maps, _VIEW_FILES, kept)
+    endings = {
+        "images": (".png",),
+        "depth": (".png", ".exr", ".tif"),
+        "masks": (_MASKS.get(kind, ""),),
+        "stereo/depth_maps": (_MAPS,),
+        "stereo/normal_maps": (_MAPS,),
+    }
+    for place, those in endings.items():
+        kept = [_view_name(number) + ending for number in range(count) for ending in those]
+        refuse_leftovers(Path(folder) / place, _VIEW_FILES, kept)
 
 
 def write_posed_views(
@@ -82,7 +84,7 @@ def write_posed_views(
     views: Iterable[tuple[Rendering, Singles]],
     calibration: Calibration,
     depth: DepthMap,
-    offsets: list[tuple[float, float]],
+    offsets: list[Place],
     still: float,
     optics: Optics | None = None,
 ) -> ViewRig:
@@ -114,18 +116,18 @@ def write_posed_views(
     check_posed_folder(folder, kind, len(offsets))
     target = make_folder(folder)
     drawn = list(views)
-    posed = []
     affine = drawn[0][0].affine
     shape = drawn[0][1].shape
     rig = view_rig(calibration, depth, offsets, affine, shape[::-1], still, optics)
     places = scene_points(shape, affine)
-    for number, ((picture, sizes), offset) in enumerate(zip(drawn, offsets, strict=True)):
-        distance = rig.depth(number, sizes, places + np.array(offset) * (depth.pitch / still))
+    posed = []
+    for number, (picture, sizes) in enumerate(drawn):
+        camera = rig.cameras[number]
+        moved = np.array(offsets[number]) * (depth.pitch / still)
+        distance = rig.depth(number, sizes, places + moved)
         known = picture.valid & np.isfinite(distance) & (distance > 0)
-        centre = [at + 0.5 for at in rig.cameras[number].principal_point]
-        posed.append(
-            _Posed(_view_name(number), picture, distance, rig.cameras[number], known, centre)
-        )
+        centre = [at + 0.5 for at in camera.principal_point]
+        posed.append(_Posed(_view_name(number), picture, distance, camera, known, centre))
     POSE_FORMATS[kind](target, posed, rig)
     return rig
 
@@ -133,23 +135,19 @@ def write_posed_views(
 def _write_files(folder: Path, views: list[_Posed], mask: str) -> float:
     """Write pictures, depth and masks; returns the unit of the 16-bit depth files."""
     images, distances, masks = (make_folder(folder / name) for name in ("images", "depth", "masks"))
-    largest = max(
-        (float(view.depth[view.known].max()) for view in views if view.known.any()), default=1.0
-    )
+    largest = max(view.depth[view.known].max(initial=0) for view in views) or 1.0
     # Millimetres where 16 bits hold that.
-    step = max(1e-3, largest / 65535)
+    step = max(1e-3, float(largest) / 65535)
     exact = ".exr"
     if find_spec("OpenEXR") is None:
         exact = ".tif"
     finish = Finish("picture.png").measured(views[0].picture)
     for name, picture, depth, _, known, _ in views:
         write_finished(images / f"{name}.png", picture, finish)
-        write_picture(masks / mask.format(name), picture.valid.astype(np.uint8) * np.uint8(255))
-        whole = np.rint(np.minimum(np.where(known, depth / step, 0), 65535)).astype(np.uint16)
-        write_picture(distances / f"{name}.png", whole)
-        write_picture(
-            distances / f"{name}{exact}", np.where(known, depth, np.inf).astype(np.float32)
-        )
+        write_picture(masks / (name + mask), np.where(known, np.uint8(255), np.uint8(0)))
+        whole = np.rint(np.minimum(np.where(known, depth / step, 0), 65535))
+        write_picture(distances / f"{name}.png", whole.astype(np.uint16))
+        write_picture(distances / (name + exact), np.where(known, depth, np.float32(np.inf)))
     return step
 
 
@@ -160,7 +158,7 @@ def _write_text(path: Path, text: str) -> None:
 
 def _write_nerfstudio(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
     """`transforms.json`: axes x right, y up, z backwards, pixel (0, 0) from 0 to 1."""
-    step = _write_files(folder, views, _MASK_NAMES["nerfstudio"])
+    step = _write_files(folder, views, _MASKS["nerfstudio"])
     frames = []
     names = ("fl_x", "fl_y", "cx", "cy", "w", "h", "k1", "k2", "p1", "p2")
     for name, _, _, camera, _, centre in views:
@@ -186,7 +184,7 @@ def _write_nerfstudio(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
 
 def _write_colmap(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
     """`sparse/0` as text: axes x right, y down, z forward, pixel (0, 0) from 0 to 1."""
-    step = _write_files(folder, views, _MASK_NAMES["colmap"])
+    step = _write_files(folder, views, _MASKS["colmap"])
     _write_fusion_maps(folder / "stereo", views)
     points, colours, pixels = _tracks(views)
     seen = np.isfinite(pixels[..., 0])
@@ -197,32 +195,31 @@ def _write_colmap(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
     lines = []
     for number, view in enumerate(views, 1):
         camera = view.camera
-        bent = any(view.camera.distortion)
-        values = " ".join(
-            f"{v:.12g}" for v in (*camera.focal, *view.centre, *(camera.distortion if bent else ()))
-        )
         kind = "PINHOLE"
-        if bent:
+        lens = [*camera.size, *camera.focal, *view.centre]
+        if any(camera.distortion):
             kind = "OPENCV"
-        place = " ".join(f"{-p:.12g}" for p in camera.position)
-        cameras.append(f"{number} {kind} {camera.size[0]} {camera.size[1]} {values}")
+            lens += camera.distortion
+        cameras.append(f"{number} {kind} {_numbers(lens)}")
         shown = np.flatnonzero(seen[number - 1])
-        where = zip((pixels[number - 1, shown] + 0.5).tolist(), (shown + 1).tolist(), strict=True)
-        images.append(f"{number} 1 0 0 0 {place} {number} {view.name}.png")
-        images.append(" ".join(f"{x:.4f} {y:.4f} {point}" for (x, y), point in where))
+        where = np.column_stack([pixels[number - 1, shown] + 0.5, shown + 1]).tolist()
+        images.append(f"{number} 1 0 0 0 {_numbers(-camera.position)} {number} {view.name}.png")
+        images.append(" ".join(f"{x:.4f} {y:.4f} {point:.0f}" for x, y, point in where))
     for point, (place, colour) in enumerate(zip(points.tolist(), colours.tolist(), strict=True)):
-        track = " ".join(
-            f"{view + 1} {order[point][view]}" for view in np.flatnonzero(seen[:, point]).tolist()
-        )
-        lines.append(
-            "{} {:.9g} {:.9g} {:.9g} {} {} {} {:.3g} ".format(point + 1, *place, *colour, rig.error)
-            + track
-        )
+        track = []
+        for image in np.flatnonzero(seen[:, point]).tolist():
+            track += [image + 1, order[point][image]]
+        row = (point + 1, *place, *colour, rig.error, *track)
+        lines.append(_numbers(row, ".9g"))
     # Programs that read models look into the first folder, stereo fusion into the second.
     for sparse in (make_folder(folder / "sparse" / "0", parents=True), folder / "sparse"):
         for name, text in (("cameras", cameras), ("images", images), ("points3D", lines)):
             _write_text(sparse / f"{name}.txt", "\n".join(text))
     _write_text(folder / "depth" / "unit.txt", f"16-bit files times {step:.9g} {rig.unit}")
+
+
+def _numbers(values: Iterable[float], digits: str = ".12g") -> str:
+    return " ".join(format(value, digits) for value in values)
 
 
 def _write_fusion_maps(folder: Path, views: list[_Posed]) -> None:
@@ -239,7 +236,7 @@ def _write_fusion_maps(folder: Path, views: list[_Posed]) -> None:
     depths = make_folder(folder / "depth_maps", parents=True)
     normals = make_folder(folder / "normal_maps")
     for view in views:
-        name = f"{view.name}.png.geometric.bin"
+        name = view.name + _MAPS
         _write_matrix(depths / name, np.where(view.known, view.depth, 0)[None])
         _write_matrix(normals / name, np.where(view.known, _normals(view), 0))
     _write_text(folder / "fusion.cfg", "\n".join(f"{view.name}.png" for view in views))
@@ -257,16 +254,15 @@ def _write_matrix(path: Path, planes: Array) -> None:
 def _normals(view: _Posed) -> Floats:
     """(3, h, w) unit normals of the surface, towards the camera, in axes of the camera."""
     rows, columns = np.indices(view.depth.shape)
-    slopes = view.camera.slopes(np.column_stack([columns.ravel(), rows.ravel()]))
-    rays = np.hstack([slopes, np.ones((len(slopes), 1))]).reshape(*view.depth.shape, 3)
+    pixels = np.column_stack([columns.ravel(), rows.ravel()])
+    rays = view.camera.rays(pixels).reshape(*view.depth.shape, 3)
     points = rays * np.where(view.known, view.depth, np.nan)[..., None]
     down, right = np.gradient(points, axis=(0, 1))
     normals = np.cross(down, right)
     length = np.linalg.norm(normals, axis=-1, keepdims=True)
     # Beside pixels of unknown depth the surface is taken to face the camera.
-    facing = -rays / np.linalg.norm(rays, axis=-1, keepdims=True)
-    found = np.where(length > 0, normals / np.where(length > 0, length, 1), facing)
-    return np.moveaxis(found, -1, 0)
+    normals = np.where(length > 0, normals, -rays)
+    return np.moveaxis(normals / np.linalg.norm(normals, axis=-1, keepdims=True), -1, 0)
 
 
 def _tracks(views: list[_Posed]) -> tuple[Floats, NDArray[np.uint8], Floats]:
@@ -278,11 +274,9 @@ def _tracks(views: list[_Posed]) -> tuple[Floats, NDArray[np.uint8], Floats]:
     point, by its depth, or nothing.
     """
     middle = views[len(views) // 2]
-    v, u = (_TRACK_STEP * axis for axis in np.nonzero(middle.known[::_TRACK_STEP, ::_TRACK_STEP]))
-    z = middle.depth[v, u].astype(float)[:, None]
-    points = (
-        np.hstack([middle.camera.slopes(np.column_stack([u, v])) * z, z]) + middle.camera.position
-    )
+    v, u = np.multiply(_TRACK_STEP, np.nonzero(middle.known[::_TRACK_STEP, ::_TRACK_STEP]))
+    rays = middle.camera.rays(np.column_stack([u, v]))
+    points = rays * middle.depth[v, u].astype(float)[:, None] + middle.camera.position
     places = np.array([view.camera.position for view in views])
     reach = float(np.ptp(places, axis=0).max()) * middle.camera.focal[0]
     pixels = np.full((len(views), len(points), 2), np.nan)
@@ -295,15 +289,15 @@ def _tracks(views: list[_Posed]) -> tuple[Floats, NDArray[np.uint8], Floats]:
         same = np.abs(1 / view.depth[row, column] - 1 / distance) * reach < 0.5
         shown = inside[same & view.known[row, column]]
         found[shown] = at[shown]
-    image = to_display(middle.picture)
-    colours = np.broadcast_to(image[v, u].reshape(len(u), -1), (len(u), 3))
+    colours = to_display(middle.picture)[v, u].reshape(len(u), -1)
+    colours = np.broadcast_to(colours, (len(u), 3))
     several = np.isfinite(pixels[..., 0]).sum(0) > 1
     return points[several], colours[several], pixels[:, several]
 
 
 def _write_rvs(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
     """`cameras.json`: axes x forward, y left, z up; depth as disparity of 16 bits."""
-    cameras: list[dict[str, Any]] = []
+    cameras: list[Entries] = []
     written: list[str] = []
     finish = Finish("picture.yuv").measured(views[0].picture)
     for number, (_, picture, depth, camera, known, centre) in enumerate(views):

@@ -9,7 +9,7 @@ is 1, and the scene is right up to a projective transformation that leaves all v
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,7 +19,7 @@ from lfcal.runtime.arrays import MOST, Array, Floats, Frozen, Singles
 
 from ..data.depth_map import DepthMap, check_depth
 from ..rendering.warped_surface import virtual_depth
-from ..runtime.types import Size
+from ..runtime.types import Place, Size
 
 __all__ = ["ViewCamera", "ViewRig", "view_rig"]
 
@@ -46,39 +46,31 @@ class ViewCamera(Frozen):
     """
 
     position: Floats  # (3,) in the unit of the rig
-    focal: tuple[float, float]  # [px]
-    principal_point: tuple[float, float]  # [px], pixel centres at integers
+    focal: Place  # [px]
+    principal_point: Place  # [px], pixel centres at integers
     size: Size  # width and height [px]
-    distortion: tuple[float, float, float, float] = (
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-    )  # k1, k2, p1, p2 as OpenCV has them
+    distortion: tuple[float, ...] = (0.0,) * 4  # k1, k2, p1, p2 as OpenCV has them
 
     def project(self, points: ArrayLike) -> Floats:
         """(n, 2) pixels `u, v` at which points (n, 3) are seen."""
         import cv2
 
-        places = np.asarray(points, dtype=np.float64).reshape(-1, 1, 3) - self.position
-        found = cv2.projectPoints(
-            places, np.zeros(3), np.zeros(3), self._matrix(), np.array(self.distortion)
-        )[0]
-        return np.asarray(found.reshape(-1, 2))
+        places = np.asarray(points, np.float64) - self.position
+        found, _ = cv2.projectPoints(places, np.zeros(3), np.zeros(3), *self._model())
+        return np.asarray(found[:, 0])
 
-    def slopes(self, pixels: ArrayLike) -> Floats:
-        """(n, 2) slopes `x / z, y / z` of the rays that pixels (n, 2) see along."""
+    def rays(self, pixels: ArrayLike) -> Floats:
+        """(n, 3) rays `x / z, y / z, 1` that pixels (n, 2) see along."""
         import cv2
 
-        places = np.asarray(pixels, dtype=np.float64).reshape(-1, 1, 2)
-        return np.asarray(
-            cv2.undistortPoints(places, self._matrix(), np.array(self.distortion)).reshape(-1, 2)
-        )
+        slopes = cv2.undistortPoints(np.asarray(pixels, np.float64), *self._model())[:, 0]
+        return np.column_stack([slopes, np.ones(len(slopes))])
 
-    def _matrix(self) -> Floats:
+    def _model(self) -> tuple[Floats, Floats]:
+        """Matrix and distortion, for OpenCV."""
         matrix = np.diag([*self.focal, 1.0])
         matrix[:2, 2] = self.principal_point
-        return matrix
+        return matrix, np.array(self.distortion)
 
 
 @dataclass(frozen=True)
@@ -119,7 +111,7 @@ class ViewRig:
 def view_rig(
     calibration: Calibration,
     depth: DepthMap,
-    offsets: Sequence[tuple[float, float]],
+    offsets: Sequence[Place],
     affine: Floats,
     size: Size,
     still: float,
@@ -174,19 +166,14 @@ def view_rig(
             with np.errstate(divide="ignore"):
                 return np.where(depths < beyond, focal / unit / (beyond - depths), np.inf)
 
-        return ViewRig(
-            cameras(where / unit, focal, middle + where * beyond),
-            "baseline",
-            0.0,
-            chosen_distance,
-            pitch,
-        )
+        made = cameras(where / unit, focal, middle + where * beyond)
+        return ViewRig(made, "baseline", 0.0, chosen_distance, pitch)
     lens = optics
     axis = middle
-    if optics.principal_point is not None:
-        axis = np.array(optics.principal_point)
+    if lens.principal_point is not None:
+        axis = np.array(lens.principal_point)
     far = lens.mla_distance
-    spread = 1 + lens.sensor_distance / lens.mla_distance
+    spread = 1 + lens.sensor_distance / far
     # The lens at c is read at c + q: the ray crosses the main lens there.
     aside = where * lens.pixel * far / lens.sensor_distance
     centres = axis - spread / lens.pixel * aside * (1 - far / lens.focal_length)
@@ -201,19 +188,16 @@ def view_rig(
         scene = np.column_stack([x, y])
         points = lens.positions(scene, 1 / v.astype(np.float64), middle)
         known = np.isfinite(points).all(1)
-        drawn = [
-            (scene + q * v[:, None] - own - affine[:, 2]) / step
-            for q, own in zip(where, moved, strict=True)
-        ]
-        fitted = [_fit(one, points[known], at[known]) for one, at in zip(made, drawn, strict=True)]
-        error = float(np.sqrt(np.mean([square for _, square in fitted])))
+        fitted = []
+        for camera, q, own in zip(made, where, moved, strict=True):
+            drawn = (scene + q * v[:, None] - own - affine[:, 2]) / step
+            fitted.append(_fit(camera, points[known], drawn[known]))
         made = tuple(camera for camera, _ in fitted)
+        error = float(np.sqrt(np.mean([square for _, square in fitted])))
 
     def distance(view: int, depths: Floats, places: Floats) -> Floats:
-        found: Floats = lens.positions(places - where[view] * depths[:, None], 1 / depths, middle)[
-            :, 2
-        ]
-        return found - made[view].position[2]
+        found = lens.positions(places - where[view] * depths[:, None], 1 / depths, middle)
+        return np.asarray(found[:, 2] - made[view].position[2])
 
     return ViewRig(made, "m", error, distance, pitch)
 
@@ -223,19 +207,13 @@ def _fit(camera: ViewCamera, points: Floats, pixels: Floats) -> tuple[ViewCamera
     from scipy.optimize import least_squares
 
     def changed(step: Floats) -> ViewCamera:
+        position = camera.position + step[:3]
         focal = np.array(camera.focal) * (1 + step[3])
         at = np.array(camera.principal_point) + step[4:6]
-        position = camera.position + step[:3]
-        bend = step[6:].tolist()
-        return replace(
-            camera,
-            position=position,
-            focal=tuple(focal),
-            principal_point=tuple(at),
-            distortion=tuple(bend),
-        )
+        return ViewCamera(position, tuple(focal), tuple(at), camera.size, tuple(step[6:].tolist()))
 
-    found = least_squares(
-        lambda step: np.ravel(changed(step).project(points) - pixels), np.zeros(10), x_scale="jac"
-    )
+    def differ(step: Floats) -> Floats:
+        return np.ravel(changed(step).project(points) - pixels)
+
+    found = least_squares(differ, np.zeros(10), x_scale="jac")
     return changed(found.x), float(np.mean(found.fun**2)) * 2

@@ -15,6 +15,8 @@ import numpy as np
 from lfcal import OutputError
 from lfcal.runtime.output_file import atomic_write
 
+from ..runtime.types import Entries
+
 __all__ = ["Checkpoint", "file_identity", "fingerprint"]
 
 
@@ -30,7 +32,7 @@ class Checkpoint:
         self._stage = stage
         self._key = fingerprint(*inputs)
         self._state = self.folder / "state.json"
-        self._kept: dict[str, dict[str, Any]] = {}
+        self._kept: dict[str, Entries] = {}
         with suppress(OSError, ValueError, TypeError):
             self._kept = dict(json.loads(self._state.read_text(encoding="utf-8")))
 

@@ -53,7 +53,6 @@ class TileWriter:
         self._path = folder / ("picture.zarr" if self._is_zarr else "picture.tif")
         self._text = text
         self._compress = compress
-        self._start = 0
         self._tags = tiff_tags(shape, text, embedded)
 
     def open(self, fresh: bool) -> bool:
@@ -74,12 +73,10 @@ class TileWriter:
                     attributes={"description": self._text},
                 )
             return found
-        import tifffile
-
         if not found:
+            import tifffile
+
             tifffile.imwrite(self._path, shape=self._shape, dtype=self._dtype, **self._tags)
-        with tifffile.TiffFile(self._path) as tiff:
-            self._start = tiff.pages[0].dataoffsets[0]
         return found
 
     def write(self, tile: tuple[int, int, int, int], pixels: Array) -> None:
@@ -98,7 +95,9 @@ class TileWriter:
 
     def _map(self) -> np.memmap:
         """The pixels of the TIFF, mapped for one tile: mapped pixels count as memory."""
-        return np.memmap(self._path, self._dtype, "r+", self._start, self._shape)
+        import tifffile
+
+        return np.asanyarray(tifffile.memmap(self._path))
 
     def finish(self, output: Path) -> None:
         """Move the picture to its place, over an earlier one."""

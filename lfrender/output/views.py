@@ -15,7 +15,7 @@ from lfcal.runtime.output_file import atomic_write, check_folder, make_folder, r
 
 from ..data.rendering import PICTURE_ADVICE, Rendering, check_pictures, pixels_between
 from ..depth.region import check_region
-from ..runtime.types import AnyPath, Entries, Size
+from ..runtime.types import AnyPath, Entries, Region, Size
 from .finish import Finish
 from .formats import DEFAULT_QUALITY, FORMATS, PictureError, check_format
 from .picture import write_finished, write_picture
@@ -166,9 +166,7 @@ def resize_view(picture: Rendering, size: Size | None) -> Rendering:
     if min(across, down) >= 1:
         method = cv2.INTER_AREA
     image = cv2.resize(picture.image, size, interpolation=method)
-    valid = cv2.resize(
-        picture.valid.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST
-    ).astype(bool)
+    valid = cv2.resize(picture.valid.view(np.uint8), size, interpolation=cv2.INTER_NEAREST)
     # Pixel u of the result lies at pixel (u + 1/2) across - 1/2 of the picture.
     matrix = np.array(
         [[across, 0.0, across / 2 - 0.5], [0.0, down, down / 2 - 0.5], [0.0, 0.0, 1.0]]
@@ -176,23 +174,20 @@ def resize_view(picture: Rendering, size: Size | None) -> Rendering:
     return replace(
         picture,
         image=image,
-        valid=valid,
+        valid=valid.view(bool),
         affine=picture.affine @ matrix,
         scale=picture.scale / across,
     )
 
 
-def crop_view(
-    picture: Rendering, roi: tuple[float, float, float, float], lattice: Lattice
-) -> Rendering:
+def crop_view(picture: Rendering, roi: Region, lattice: Lattice) -> Rendering:
     """The part of a picture between scene coordinates x0, y0, x1, y1, at least one pixel.
 
     ValueError if the corners lie outside the flat.
     """
-    rows, columns = picture.valid.shape
     corners = np.array(check_region(roi, lattice)).reshape(2, 2)
     corners = (corners - picture.affine[:, 2]) / np.diag(picture.affine)
-    left, top, right, bottom = pixels_between(corners, (columns, rows))
+    left, top, right, bottom = pixels_between(corners, picture.valid.shape[::-1])
     affine = np.column_stack([picture.affine[:, :2], picture.affine @ [left, top, 1]])
     part = np.s_[top:bottom, left:right]
     return replace(picture, image=picture.image[part], valid=picture.valid[part], affine=affine)

@@ -24,7 +24,7 @@ from lfcal.runtime.video import import_av, rgb_pixels
 from ..runtime.messages import one_line
 from ..runtime.types import AnyPath, Size
 
-__all__ = ["Frame", "Frames", "is_video", "open_frames", "read_lit"]
+__all__ = ["Frame", "Frames", "is_video", "open_frames", "read_dark", "read_lit"]
 
 
 @dataclass(frozen=True)
@@ -213,7 +213,7 @@ def open_frames(
     if dark is not None:
         dark = Path(dark).absolute()
         # Errors of this file are raised at once, not for every frame.
-        _read_dark(dark)
+        read_dark(dark)
     layout = {"size": size, "pixel_format": pixel_format}
     parts = [part for path in inputs for part in _parts(Path(path).absolute(), layout)]
     if not parts:
@@ -275,14 +275,15 @@ def _choose(count: int, frames: int | slice | str) -> range:
 
 
 @lru_cache(1)
-def _read_dark(path: Path) -> Array:
+def read_dark(path: Path) -> Array:
+    """The pixels of a dark frame, which are kept."""
     return read_flat(path)
 
 
 def _read_less_dark(read: Callable[[], Array], dark: Path) -> Array:
     pixels = read()
     try:
-        return subtract_dark(pixels, _read_dark(dark))
+        return subtract_dark(pixels, read_dark(dark))
     except FlatError as error:
         raise FlatError(f"{dark}: {error}") from error
 

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 from lfcal.runtime.command_line import Result
 
+from ...runtime.types import Place, Triple
+
 __all__ = [
     "AnalyzeResult",
     "BatchResult",
@@ -20,8 +22,8 @@ __all__ = [
     "WarmResult",
 ]
 
-_Pair = tuple[float, float]
-_Affine = tuple[tuple[float, float, float], tuple[float, float, float]]
+_Pair = Place
+_Affine = tuple[Triple, Triple]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,7 +155,7 @@ class ViewsResult(_CaptureFigures):
     offsets: list[_Pair]
     unit: str | None = None
     camera_error: float | None = None
-    positions: list[tuple[float, float, float]] | None = None
+    positions: list[Triple] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

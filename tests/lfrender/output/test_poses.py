@@ -240,7 +240,7 @@ def test_normals_for_stereo_fusion_are_units_towards_the_camera(colmap):
     depth = matrix(folder / "stereo/depth_maps/view_004.png.geometric.bin")[..., 0]
     normals = matrix(folder / "stereo/normal_maps/view_004.png.geometric.bin")
     v, u = np.nonzero(depth)
-    rays = np.column_stack([rig.cameras[4].slopes(np.column_stack([u, v])), np.ones(len(u))])
+    rays = rig.cameras[4].rays(np.column_stack([u, v]))
     assert (np.sum(normals[v, u] * rays, 1) < 0).all()
     np.testing.assert_allclose(np.linalg.norm(normals[v, u], axis=1), 1, atol=1e-5)
 
