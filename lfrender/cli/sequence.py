@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from contextlib import suppress
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
@@ -91,12 +90,12 @@ def batch(capture: CaptureInput, given: Any) -> int:
     start = perf_counter()
     results, plan = _render(capture, given, frames, calibration, films, options)
     found, sentence = _sum_up(results, perf_counter() - start)
+    found["film" if output in films else "pictures"] = output
     if calibration is None and output not in films:
         from ..sequence.run_folder import load_camera
 
         with suppress(CameraFileError):
             calibration = load_camera(output)
-    found = {"film" if output in films else "pictures": output, **found}
     failures = [result.message for result in results if result.outcome == "failed"]
     found["warnings"] = list(calibration.warnings) if calibration else []
     if report.as_json:
@@ -146,15 +145,8 @@ def _render(
         connect_cluster(given, report) as cluster,
     ):
         try:
-            for result in render(
-                frames,
-                given.output,
-                calibration,
-                options,
-                overwrite=given.overwrite,
-                announce=announce,
-                **cluster,
-            ):
+            run = {"overwrite": given.overwrite, "announce": announce, **cluster}
+            for result in render(frames, given.output, calibration, options, **run):
                 results.append(result)
                 step(len(results), frames.count or None, result.message)
         except KeyboardInterrupt:
@@ -187,8 +179,9 @@ def _describe(plan: Plan, given: Any, rate: Any) -> str:
 
 def _sum_up(results: list[FrameResult], seconds: float) -> tuple[Entries, str]:
     """Figures of a run, and a sentence."""
-    count: Counter[str] = Counter(result.outcome for result in results)
-    rendered = count["rendered"]
+    outcomes = [result.outcome for result in results]
+    figures: Entries = {name: outcomes.count(name) for name in ("rendered", "kept", "failed")}
+    rendered = figures["rendered"]
     each = seconds / max(rendered, 1)
     # Frames that were not rendered have no still lenses.
     still = sum(result.still for result in results) / max(rendered, 1)
@@ -196,13 +189,12 @@ def _sum_up(results: list[FrameResult], seconds: float) -> tuple[Entries, str]:
     if rendered:
         sentence += f", {each:.2f} s each"
     for outcome, words in (("kept", "kept from before"), ("failed", "failed")):
-        if count[outcome]:
-            sentence += f", {count[outcome]:,} {words}"
+        if figures[outcome]:
+            sentence += f", {figures[outcome]:,} {words}"
     sentence += "."
     if round(100 * still):
         sentence += f" {percent(still)} of their lenses had not moved."
-    figures = {name: count[name] for name in ("rendered", "kept", "failed")}
-    return {**figures, "seconds_per_frame": each, "still": still}, sentence
+    return figures | {"seconds_per_frame": each, "still": still}, sentence
 
 
 def _frame_options(capture: CaptureInput, given: Any, film: bool) -> FrameOptions:

@@ -125,9 +125,7 @@ def read_metadata(path: AnyPath) -> EmbeddedMetadata:
             for tag in (Base[name] for name in _SIZE_TAGS):
                 exif.pop(tag, None)
                 exif.get_ifd(IFD.Exif).pop(tag, None)
-            data = b""
-            if len(exif):
-                data = exif.tobytes()
+            data = exif.tobytes() if len(exif) else b""
             return EmbeddedMetadata(image.info.get("icc_profile") or b"", data)
     # Readers raise errors of any kind on damaged data; the pixels matter more.
     except Exception:
@@ -291,41 +289,31 @@ def _write_exr(path: Path, file: PictureFile) -> None:
     write_exr(path, channels, text)
 
 
-def _in_colour(pixels: Array) -> Array:
-    """Grey pixels with alpha as colours with alpha, others as they are."""
-    if pixels.shape[2:] == (2,):
-        pixels = pixels[..., (0, 0, 0, 1)]
-    return np.ascontiguousarray(pixels)
-
-
 def _write_png(path: Path, file: PictureFile) -> None:
-    # By OpenCV: Pillow has no colours of 16 bits.
-    import cv2
+    # By imagecodecs: Pillow has no colours of 16 bits.
+    from imagecodecs import PNG, PngError, png_encode
 
     ((pixels, text),) = file.pages
     embedded = file.embedded
-    pixels = _in_colour(pixels)
-    if pixels.ndim == 3:
-        order = {3: cv2.COLOR_RGB2BGR, 4: cv2.COLOR_RGBA2BGRA}[pixels.shape[2]]
-        pixels = cv2.cvtColor(pixels, order)
+    pixels = np.ascontiguousarray(pixels)
     try:
-        data = cv2.imencode(".png", pixels)[1].tobytes()
-    except cv2.error as error:
-        raise PictureError(f"{path}: cannot be written as .png ({error.err or error})") from error
-    written = [data[:_PNG_HEAD]]
+        # Neighbours differ little; runs of equal differences are found fast.
+        data = png_encode(pixels, level=1, strategy=PNG.STRATEGY.RLE, filter=PNG.FILTER.SUB)
+    except (PngError, ValueError) as error:
+        raise PictureError(f"{path}: cannot be written as .png ({error})") from error
+    chunks = [(b"tEXt", b"Description\0" + text.encode("ascii"))]
     if embedded.icc:
-        profile = b"ICC profile\0\0" + zlib.compress(embedded.icc)
-        written.append(_png_chunk(b"iCCP", profile))
+        chunks.append((b"iCCP", b"ICC profile\0\0" + zlib.compress(embedded.icc)))
     elif embedded.encoded is not None:
         gamma = _LINEAR_GAMMA
         if embedded.encoded:
             gamma = _SRGB_GAMMA
-            written.append(_png_chunk(b"sRGB", _PERCEPTUAL))
-        written.append(_png_chunk(b"gAMA", struct.pack(">I", gamma)))
-    written.append(_png_chunk(b"tEXt", b"Description\0" + text.encode("ascii")))
+            chunks.append((b"sRGB", _PERCEPTUAL))
+        chunks.append((b"gAMA", struct.pack(">I", gamma)))
     if embedded.exif:
-        written.append(_png_chunk(b"eXIf", embedded.exif.removeprefix(b"Exif\0\0")))
-    path.write_bytes(b"".join([*written, data[_PNG_HEAD:]]))
+        chunks.append((b"eXIf", embedded.exif.removeprefix(b"Exif\0\0")))
+    further = b"".join(_png_chunk(kind, body) for kind, body in chunks)
+    path.write_bytes(data[:_PNG_HEAD] + further + data[_PNG_HEAD:])
 
 
 def _png_chunk(kind: bytes, body: bytes) -> bytes:
@@ -346,8 +334,11 @@ def _write_small(path: Path, file: PictureFile) -> None:
         more["exif"] = embedded.exif
     if path.suffix.lower() != ".webp":
         more["comment"] = text.encode("ascii")
+    if pixels.shape[2:] == (2,):
+        # Grey with alpha as colours with alpha.
+        pixels = pixels[..., (0, 0, 0, 1)]
     try:
-        Image.fromarray(_in_colour(pixels)).save(path, **more)
+        Image.fromarray(np.ascontiguousarray(pixels)).save(path, **more)
     except (OSError, ValueError) as error:
         size = f"{pixels.shape[1]} x {pixels.shape[0]} px"
         raise PictureError(
@@ -384,11 +375,9 @@ def write_ome_zarr(
     """
     import zarr
 
-    named: list[dict[str, str]] = []
-    for name in axes:
-        named.append({"name": name, "type": "channel" if name == "c" else "space"})
-        if unit is not None:
-            named[-1]["unit"] = unit
+    named = [{"name": name, "type": "channel" if name == "c" else "space"} for name in axes]
+    if unit is not None:
+        named = [{**axis, "unit": unit} for axis in named]
     moves = [
         {"type": "scale", "scale": scale},
         {"type": "translation", "translation": first},

@@ -35,14 +35,14 @@ def rendering_settings(
     depth: DepthMap | None, patch_size: float | None, detail: str | None = None
 ) -> Entries:
     """How a picture was rendered, as stored in its file."""
-    if depth is None and patch_size is None:
-        return {"rendering": "traditional"}
-    settings: Entries = {"rendering": "one patch size", "patch_size": patch_size}
+    settings: Entries = {"rendering": "traditional"}
     if depth is not None:
         settings = {"rendering": "all in focus", "preset": depth.preset}
-    if detail is None:
-        return settings
-    return {**settings, "detail": detail}
+    elif patch_size is not None:
+        settings = {"rendering": "one patch size", "patch_size": patch_size}
+    if detail is not None:
+        settings["detail"] = detail
+    return settings
 
 
 def capture_figures(
@@ -63,52 +63,45 @@ def capture_figures(
     }
     if depth is None:
         return figures
-    if (problem := few_pixels_problem(calibration.lattice.pitch)) is not None:
-        figures["warnings"].append(problem)
     import numpy as np
 
     from ...data.depth_map import MODES, REASONS, finite
     from ...rendering.traditional import find_depth_problem
 
-    if problem := find_depth_problem(depth):
-        figures["warnings"].append(problem)
+    problems = (few_pixels_problem(calibration.lattice.pitch), find_depth_problem(depth))
+    figures["warnings"] += filter(None, problems)
     analysed = depth.reason != REASONS.index("not analysed")
     mode = depth.mode[analysed]
     reason = depth.reason[analysed]
-    sizes = np.abs(depth.patch_size[depth.mode != 0])
     figures |= {
         "lenses_analysed": int(analysed.sum()),
         "modes": {name: float(np.mean(mode == code)) for code, name in MODES.items() if len(mode)},
-        "patch_size_median": _median(sizes),
+        "patch_size_median": _median(np.abs(finite(depth.patch_size))),
         "unresolved": {
             REASONS[code]: float(np.mean(reason == code)) for code in np.unique(reason[mode == 0])
         },
         "saved": depth.saved,
     }
-    if optics is not None:
-        camera = calibration if optics is calibration.optics else optics
-        known = depth.distance(camera)
-        known = known[~np.isnan(known)]
-        low = middle = high = float("nan")
-        if known.size:
-            from lfcal.runtime.arrays import NINE_TENTHS
+    if optics is None:
+        return figures
+    from lfcal.runtime.arrays import NINE_TENTHS
 
-            low, middle, high = np.quantile(known, NINE_TENTHS, method="nearest").tolist()
-        figures |= {
-            "distance_median": middle,
-            "distance_range": [low, high],
-            "distance_error": _median(finite(depth.distance_error(camera))),
-        }
-    return figures
+    camera = calibration if optics is calibration.optics else optics
+    known = depth.distance(camera)
+    known = known[~np.isnan(known)]
+    low = middle = high = math.nan
+    if known.size:
+        low, middle, high = np.quantile(known, NINE_TENTHS, method="nearest").tolist()
+    error = _median(finite(depth.distance_error(camera)))
+    distances = {"distance_median": middle, "distance_range": [low, high], "distance_error": error}
+    return figures | distances
 
 
 def _median(values: Array) -> float:
     """The median, NaN of no values."""
     import numpy as np
 
-    if values.size:
-        return float(np.median(values))
-    return float("nan")
+    return float(np.median(values)) if values.size else math.nan
 
 
 def few_pixels_problem(pitch: float) -> str | None:
