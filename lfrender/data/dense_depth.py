@@ -107,12 +107,11 @@ def dense_depth(depth: DepthMap, scale: float | None = None, fill: bool = True) 
     edge = edge_step(pitch)
     sizes = sample_surface_at(depth.surface, edge, *place)
     lens = depth.nearest_lens(*place)
-    if lens is None:
-        resolved = np.ones(sizes.shape, bool)
-        error = np.full(sizes.shape, np.inf, np.float32)
-    else:
+    resolved = np.ones(sizes.shape, bool)
+    error = np.full(sizes.shape, np.inf, np.float32)
+    if lens is not None:
         resolved = ~depth.filled[lens]
-        error = np.where(resolved, depth.standard_error[lens], np.float32(np.inf))
+        error[resolved] = depth.standard_error[lens][resolved]
     around = np.ones((3, 3), np.uint8)
     beside = cv2.dilate(sizes, around) - cv2.erode(sizes, around) >= edge
     validity = np.where(resolved, np.where(beside, EDGE, SEEN), FILLED).astype(np.uint8)

@@ -30,6 +30,7 @@ __all__ = [
     "SMALL",
     "DepthFileError",
     "camera_digest",
+    "check_columns",
     "check_extent",
     "read_depth",
     "write_depth",
@@ -77,6 +78,7 @@ _SCHEMA = {
     "standard_error": _Column("fiu", "n", 0),
     "confidence": _Column("fiu", "n", 0, 1),
     "drawn": _NUMBERS,
+    "filled_patch_size": _NUMBERS,
     "surface": _Column("fiu", "yx"),
     "surface_first": _Column("fiu", "2", *_PLACES),
     "surface_spacing": _Column("fiu"),
@@ -153,7 +155,7 @@ def read_depth(path: AnyPath, make: Callable[..., DepthMap]) -> DepthMap:
         version = int(data["version"])
         if version != _VERSION:
             raise ValueError(f"version {version} is not known (this is {_VERSION})")
-        _check_columns(data)
+        check_columns(data)
         depth = make(**_fields_of(data))
         _check_together(depth, data)
         return depth
@@ -223,7 +225,7 @@ def _digest(arrays: Entries) -> str:
     return digest.hexdigest()
 
 
-def _check_columns(data: dict[str, Array]) -> None:
+def check_columns(data: dict[str, Array]) -> None:
     """ValueError if an array of a file has another type, shape or range than those of `_SCHEMA`."""
     lengths = {"2": 2}
     for name, column in _SCHEMA.items():

@@ -16,7 +16,7 @@ from lfcal.runtime.page import html_card
 
 from ..flat.lens_graph import nearest_lens
 from ..runtime.types import AnyPath, Entries, Place, Size
-from .depth_file import DepthFileError, check_extent, read_depth, write_depth
+from .depth_file import DepthFileError, check_columns, check_extent, read_depth, write_depth
 from .depth_order import depth_limits, depth_order, magnification_at
 from .flat_samples import is_same_flat, sample_flat
 from .frame_state import FrameState
@@ -161,20 +161,13 @@ class DepthMap(Frozen):
             reason = np.where(resolved, 0, np.where(self.confidence > 0, 2, 1))
         width, height = self.image_size
         self._set(reason=np.array(reason, np.int8), image_size=(int(width), int(height)))
-        n = np.size(self.patch_size)
-        shapes: dict[str, tuple[int, ...]] = dict.fromkeys((*names, "reason"), (n,))
-        if self.centres is not None:
-            shapes["centres"] = (n, 2)
-        for name, shape in shapes.items():
-            given = getattr(self, name).shape
-            if given != shape:
-                raise ValueError(f"{name} must have shape {shape}, got {given}")
+        arrays = {name: getattr(self, name) for name in (*names, "reason", "centres")}
+        known = {name: values for name, values in arrays.items() if values is not None}
+        check_columns(known | {"pitch": np.asarray(self.pitch)})
         if ((self.reason == 0) != resolved).any():
             raise ValueError(
                 "reason must be 0 for every lens with a patch size, and only for those"
             )
-        if not 0 < self.pitch < np.inf:
-            raise ValueError(f"pitch must be a positive number of px, got {self.pitch!r}")
         for values in (self.filled_patch_size, self.surface.patch_size):
             if not np.abs(values).max(initial=0) <= _MOST_PITCHES * self.pitch:
                 raise ValueError(
@@ -306,8 +299,9 @@ class DepthMap(Frozen):
         lens = self.nearest_lens(shown.shape, surface.first, surface.spacing)
         if lens is not None:
             shown[self.filled[lens]] = np.nan
-        first = np.array(surface.first) - surface.spacing / 2
-        last = first + surface.spacing * np.array(shown.shape[::-1])
+        half = surface.spacing / 2
+        first = np.array(surface.first) - half
+        last = surface.last + half
         look: Entries = {"vmin": far, "vmax": near, "cmap": "viridis"}
         drawn = show_on_axes(ax, shown, first, last, "Depth", interpolation="nearest", **look)
         drawn.axes.set_facecolor(np.array(MODE_COLOURS[0]) / 255)

@@ -132,10 +132,10 @@ def mesh(
     u, v = np.moveaxis(np.rint(pixels).astype(int).clip(0, (width - 1, height - 1)), -1, 0)
     known = (picture.valid[v, u] & np.isfinite(places).all(-1)).ravel()
     number = np.arange(known.size).reshape(dense.patch_size.shape)
-    corners = number[:-1, :-1], number[1:, :-1], number[:-1, 1:], number[1:, 1:]
-    triangles = np.vstack(
-        [np.stack([corners[k].ravel() for k in order], -1) for order in ((0, 1, 2), (2, 1, 3))]
-    )
+    below = number[1:, :-1]
+    beside = number[:-1, 1:]
+    halves = np.array([[number[:-1, :-1], below, beside], [beside, below, number[1:, 1:]]])
+    triangles = np.moveaxis(halves, 1, -1).reshape(-1, 3)
     same = np.ptp(dense.patch_size.ravel()[triangles], axis=1) < edge_step(depth.pitch)
     used, faces = np.unique(triangles[same & known[triangles].all(1)], return_inverse=True)
     # Textures begin at the bottom left.
@@ -144,13 +144,10 @@ def mesh(
     material = PBRMaterial(
         baseColorTexture=texture, metallicFactor=0.0, roughnessFactor=1.0, doubleSided=True
     )
-    return Trimesh(
-        places.reshape(-1, 3)[used],
-        faces.reshape(-1, 3),
-        visual=TextureVisuals(place, material=material),
-        process=False,
-        metadata={"axes": _AXES[metres]},
-    )
+    look = TextureVisuals(place, material=material)
+    about = {"axes": _AXES[metres]}
+    corners = places.reshape(-1, 3)[used]
+    return Trimesh(corners, faces.reshape(-1, 3), visual=look, process=False, metadata=about)
 
 
 def _places(
@@ -164,14 +161,13 @@ def _places(
     optics = optics or calibration.optics
     dense = dense_depth(depth, min(points_per_pitch, depth.pitch))
     scene = scene_points(dense.patch_size.shape, dense.affine)
-    size = dense.patch_size.astype(np.float64)
-    pitch = depth.pitch
-    size[~dense.resolved | (np.abs(size) * _FARTHEST < pitch)] = np.nan
+    ratio = dense.patch_size.astype(np.float64) / depth.pitch
+    ratio[~dense.resolved | (np.abs(ratio) * _FARTHEST < 1)] = np.nan
     if optics is None:
-        return dense, np.dstack([scene / pitch, pitch / size]), False
+        return dense, np.dstack([scene / depth.pitch, 1 / ratio]), False
     middle = (np.array(depth.image_size) - 1) / 2
-    found = optics.positions(scene.reshape(-1, 2), size.ravel() / pitch, middle)
-    return dense, found.reshape(*size.shape, 3), True
+    found = optics.positions(scene.reshape(-1, 2), ratio.ravel(), middle)
+    return dense, found.reshape(*scene.shape[:2], 3), True
 
 
 def write_points(path: AnyPath, points: Array, metres: bool = False) -> None:
@@ -192,10 +188,12 @@ def write_points(path: AnyPath, points: Array, metres: bool = False) -> None:
     check_type(points, np.ndarray, "points", "lfrender.output.point_cloud.point_cloud makes one")
     check_output(path, CLOUD_SUFFIXES)
     if Path(path).suffix.lower() == ".pcd":
-        # The colour is a whole number 0xRRGGBB.
-        red, green, blue = (points[name].astype(np.uint32) for name in ("red", "green", "blue"))
-        place = np.column_stack([points[name] for name in "xyz"]).astype("<f4")
-        data = np.column_stack([place.view("<u4"), red << 16 | green << 8 | blue]).tobytes()
+        # The colour is a whole number 0xRRGGBB: four bytes, blue first.
+        four = [(name, "u1") for name in ("blue", "green", "red", "none")]
+        packed = np.zeros(len(points), [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), *four])
+        for name in _POINT.names or ():
+            packed[name] = points[name]
+        data = packed.tobytes()
         header = [
             "# .PCD v0.7 - Point Cloud Data file format",
             "VERSION 0.7",

@@ -56,10 +56,10 @@ def yuv_frame(pixels: Array, pixel_format: str, **colours: Any) -> Any:
 
     name, subsampling, _ = parse_pixel_format(pixel_format)
     height, width = pixels.shape[:2]
-    if subsampling == "420":
-        height = max(height - height % 2, 1)
-    if subsampling in ("420", "422"):
-        width = max(width - width % 2, 1)
+    if subsampling == "420" and height > 1:
+        height -= height % 2
+    if subsampling in ("420", "422") and width > 1:
+        width -= width % 2
     pixels = pixels[:height, :width]
     if pixels.dtype.kind == "f":
         share = np.clip(np.nan_to_num(pixels), 0, 1)

@@ -130,12 +130,9 @@ def write_quilt(
         raise PictureError(
             f"{path}: a quilt of {columns} x {rows} needs {columns * rows} views, got {len(images)}"
         )
-    lines = [
-        np.concatenate(images[row * columns : (row + 1) * columns], axis=1)
-        for row in reversed(range(rows))
-    ]
-    write_picture(path, np.concatenate(lines, axis=0), quality=finish.quality, **options)
     height, width = images[0].shape[:2]
+    lines = [np.hstack(images[first : first + columns]) for first in range(0, len(images), columns)]
+    write_picture(path, np.vstack(lines[::-1]), quality=finish.quality, **options)
     return f"_qs{columns}x{rows}a{width / height:.2f}"
 
 
@@ -205,8 +202,8 @@ def stereo_pair(left: Rendering, right: Rendering) -> Rendering:
     """
     check_type(left, Rendering, "left", PICTURE_ADVICE)
     check_type(right, Rendering, "right", PICTURE_ADVICE)
-    image = np.concatenate([left.image, right.image], axis=1)
-    return replace(left, image=image, valid=np.concatenate([left.valid, right.valid], axis=1))
+    image = np.hstack([left.image, right.image])
+    return replace(left, image=image, valid=np.hstack([left.valid, right.valid]))
 
 
 def write_animation(
@@ -239,14 +236,13 @@ def write_animation(
     frames = [Image.fromarray(np.ascontiguousarray(picture.image)) for picture in shown]
     if not frames:
         raise PictureError(f"{path}: an animation needs at least one picture")
-    suffix = Path(path).suffix.lower()
-    options: Entries = {}
-    if suffix == ".webp":
-        options = {"lossless": False, "quality": finish.quality or DEFAULT_QUALITY}
-    if suffix == ".gif":
+    kind = FORMATS[Path(path).suffix.lower()].animation
+    options: Entries = {"duration": milliseconds, "loop": 0}
+    if kind == "WEBP":
+        options |= {"lossless": False, "quality": finish.quality or DEFAULT_QUALITY}
+    if kind == "GIF":
         # All frames share one palette: with a palette each, colours would flicker.
         palette = frames[0].convert("RGB").quantize()
         frames = [frame.convert("RGB").quantize(palette=palette) for frame in frames]
-    options |= {"save_all": True, "append_images": frames[1:], "duration": milliseconds, "loop": 0}
     with atomic_write(path) as temporary:
-        frames[0].save(temporary, FORMATS[suffix].animation, **options)
+        frames[0].save(temporary, kind, save_all=True, append_images=frames[1:], **options)
