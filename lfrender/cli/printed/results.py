@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from lfcal.runtime.command_line import Result
 
-from ...runtime.types import Place, Triple
+from ...runtime.types import Place, Size, Triple
 
 __all__ = [
     "AnalyzeResult",
@@ -22,8 +22,12 @@ __all__ = [
     "WarmResult",
 ]
 
-_Pair = Place
-_Affine = tuple[Triple, Triple]
+# Null where they are not known, or make no sense.
+_Number = float | None
+_Count = int | None
+_Text = str | None
+# Figures by the name of a mode, reason, shortcut or picture.
+_Measures = dict[str, float]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,14 +64,14 @@ class _CaptureFigures(Result):
     lenses: int
     camera_source: str
     camera_confidence: float
-    lenses_analysed: int | None = None
-    modes: dict[str, float] | None = None
-    patch_size_median: float | None = None
-    unresolved: dict[str, float] | None = None
-    saved: dict[str, float] | None = None
-    distance_median: float | None = None
-    distance_range: tuple[float | None, float | None] | None = None
-    distance_error: float | None = None
+    lenses_analysed: _Count = None
+    modes: _Measures | None = None
+    patch_size_median: _Number = None
+    unresolved: _Measures | None = None
+    saved: _Measures | None = None
+    distance_median: _Number = None
+    distance_range: tuple[_Number, _Number] | None = None
+    distance_error: _Number = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,11 +90,11 @@ class _PictureFigures(_CaptureFigures):
         From pixel (u, v, 1) to scene coordinates [px of the flat].
     """
 
-    picture: str | None = None
-    size: tuple[int, int]
+    picture: _Text = None
+    size: Size
     scale: float
     valid: float
-    affine: _Affine
+    affine: tuple[Triple, Triple]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,8 +107,8 @@ class RenderResult(_PictureFigures):
         Number of tiles that an earlier run had drawn.
     """
 
-    tiles: int | None = None
-    tiles_kept: int | None = None
+    tiles: _Count = None
+    tiles_kept: _Count = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,7 +136,7 @@ class AnalyzeResult(_CaptureFigures):
     """
 
     depth: str
-    colours: _Pair | None = None
+    colours: Place | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,9 +156,9 @@ class ViewsResult(_CaptureFigures):
     """
 
     views: str
-    offsets: list[_Pair]
-    unit: str | None = None
-    camera_error: float | None = None
+    offsets: list[Place]
+    unit: _Text = None
+    camera_error: _Number = None
     positions: list[Triple] | None = None
 
 
@@ -217,15 +221,15 @@ class BatchResult(Result):
         Magnifications at both ends of the colours of a film of depth.
     """
 
-    film: str | None = None
-    pictures: str | None = None
+    film: _Text = None
+    pictures: _Text = None
     rendered: int
     kept: int
     failed: int
     seconds_per_frame: float
     still: float
-    depth_maps: str | None = None
-    colours: _Pair | None = None
+    depth_maps: _Text = None
+    colours: Place | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -283,17 +287,17 @@ class DemoResult(Result):
     """
 
     page: str
-    flat_size: tuple[int, int]
+    flat_size: Size
     pitch: float
     lenses: int
     lenses_judged: int
-    calibration: dict[str, dict[str, float]]
-    mode_right: dict[str, float]
-    mode_wrong: dict[str, float]
-    magnification_error: dict[str, float]
-    merit: dict[str, dict[str, float]]
-    fixed_patch_size: dict[str, float]
-    picture_size: tuple[int, int]
+    calibration: dict[str, _Measures]
+    mode_right: _Measures
+    mode_wrong: _Measures
+    magnification_error: _Measures
+    merit: dict[str, _Measures]
+    fixed_patch_size: _Measures
+    picture_size: Size
     scale: float
 
 
@@ -313,11 +317,11 @@ class LensletResult(Result):
         Width and height of the flat or of each view [px].
     """
 
-    flat: str | None = None
-    camera: str | None = None
-    views: str | None = None
-    grid: tuple[int, int]
-    size: tuple[int, int]
+    flat: _Text = None
+    camera: _Text = None
+    views: _Text = None
+    grid: Size
+    size: Size
 
 
 @dataclass(frozen=True, kw_only=True)
