@@ -127,11 +127,12 @@ class View:
             assert self.depth is not None
             return np.asarray(depth_picture(self.depth, _DEPTH_SCALE))
         elif kind == "focus":
-            place = tuple(
-                share * length - 0.5
-                for share, length in zip(at, self.camera.image_size, strict=True)
-            )
-            picture = refocus(self.flat, self.camera, position=place, depth=self.depth)  # type: ignore[arg-type]
+            assert self.depth is not None
+            place = np.array(at) * self.camera.image_size - 0.5
+            size = float(self.depth.surface.at(place[None])[0])
+            # Blur by depth, for which refocus takes the depth map, takes too long here.
+            scale = default_scale(self.depth)
+            picture = refocus(self.flat, self.camera, size, scale=scale)
         else:
             assert self.sharp is not None
             picture = self.sharp

@@ -5,6 +5,8 @@ them.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,11 +14,12 @@ from numpy.typing import NDArray
 from lfcal import Calibration
 from lfcal.runtime.errors import check_type
 
-from ..data.depth_map import DEPTH_ADVICE, DepthMap, default_scale
+from ..data.depth_map import DEPTH_ADVICE, DepthMap, check_depth, default_scale
 from ..data.rendering import Rendering, check_patch_size, check_scale, finish_picture
 from ..data.surface import constant_surface
 from ..detail.blur import choose_blur
 from ..flat.validation import check_flat
+from .depth_blur import DepthBlur
 from .renderer import REFOCUS_REACH, Renderer
 from .warped_surface import virtual_depth
 
@@ -36,8 +39,9 @@ def refocus(
     """Draw the scene in focus at one depth, out of focus in front of it and behind.
 
     Every scene point is the mean over all lenses that show it, read at one patch size for all
-    places (integral photography: Lumsdaine and Georgiev 2008, section 5). Errors are those of
-    `render`.
+    places (integral photography: Lumsdaine and Georgiev 2008, section 5). Where lenses are too few
+    for even blur, they repeat detail as a mesh; with a depth map, the picture of `render` is
+    blurred there by its depth instead. Errors are those of `render`.
 
     Parameters
     ----------
@@ -48,7 +52,8 @@ def refocus(
     position : (float, float), optional [px]
         Scene coordinates `X` of a place to focus on, instead of `patch_size`.
     depth : DepthMap, optional
-        Of this flat, for `position`; analysed where it is not given.
+        Of this flat, for `position` and for even blur; analysed for `position` where it is not
+        given.
     aperture : float
         Part of the radius of the microimages, and so of the main lens' aperture, that takes part:
         0.05 to 1. Less gives more depth of field.
@@ -86,25 +91,9 @@ def refocus(
             depth = analyze(pixels, calibration)
         patch_size = float(depth.surface.at(place[None])[0])
     assert patch_size is not None
-    check_patch_size(patch_size, lattice.pitch)
-    # Below, a scene point may lie between what all microimages show.
-    if not 0.05 <= aperture <= 1:
-        raise ValueError(f"aperture must lie between 0.05 and 1, got {aperture:g}")
     if scale is None:
         scale = abs(patch_size) if depth is None else default_scale(depth)
-    # Out of focus, colours differ and are mixed all the same.
-    renderer = Renderer(
-        calibration,
-        constant_surface(patch_size),
-        check_scale(scale, lattice.pitch),
-        True,
-        reach=REFOCUS_REACH,
-        agreement=1e3,
-        aperture=aperture,
-        lens_blur=None if depth is None else choose_blur(calibration, depth),
-    )
-    image, valid = renderer.draw(pixels, dtype=pixels.dtype)
-    return finish_picture(image, valid, renderer.grid.affine(), renderer.scale, flat, calibration)
+    return _Refocused(flat, calibration, depth, aperture, scale).draw(patch_size)
 
 
 def focal_stack(
@@ -138,7 +127,64 @@ def focal_stack(
         raise ValueError("patch_sizes must hold at least one number")
     if scale is None:
         scale = max(map(abs, sizes)) if depth is None else default_scale(depth)
-    return [refocus(flat, calibration, s, aperture=aperture, scale=scale) for s in sizes]
+    stack = _Refocused(flat, calibration, depth, aperture, scale)
+    return list(map(stack.draw, sizes))
+
+
+@dataclass(frozen=True, eq=False)
+class _Refocused:
+    """What refocused pictures of one flat share."""
+
+    flat: NDArray
+    calibration: Calibration
+    depth: DepthMap | None
+    aperture: float
+    scale: float
+
+    @cached_property
+    def pixels(self) -> NDArray:
+        return check_flat(self.flat, self.calibration)
+
+    @cached_property
+    def blur(self) -> DepthBlur | None:
+        """The picture that is sharp everywhere, on the same grid, if the depth is known."""
+        if self.depth is None:
+            return None
+        check_depth(self.depth, self.calibration)
+        lattice = self.calibration.lattice
+        renderer = Renderer(self.calibration, self.depth.surface, self.scale, True)
+        sharp, _ = renderer.draw(self.pixels)
+        depth = virtual_depth(renderer.seen_depth(), lattice.pitch)
+        radius = self.aperture * lattice.radius
+        return DepthBlur(sharp, depth, self.scale, radius, lattice.pitch)
+
+    def draw(self, patch_size: float) -> Rendering:
+        """The picture in focus at one patch size [px]."""
+        calibration = self.calibration
+        lattice = calibration.lattice
+        check_patch_size(patch_size, lattice.pitch)
+        # Below, a scene point may lie between what all microimages show.
+        if not 0.05 <= self.aperture <= 1:
+            raise ValueError(f"aperture must lie between 0.05 and 1, got {self.aperture:g}")
+        # Out of focus, colours differ and are mixed all the same.
+        renderer = Renderer(
+            calibration,
+            constant_surface(patch_size),
+            check_scale(self.scale, lattice.pitch),
+            True,
+            reach=REFOCUS_REACH,
+            agreement=1e3,
+            aperture=self.aperture,
+            lens_blur=None if self.depth is None else choose_blur(calibration, self.depth),
+        )
+        blur = self.blur
+        if blur is None:
+            image, valid = renderer.draw(self.pixels, dtype=self.pixels.dtype)
+        else:
+            image, valid = renderer.draw(self.pixels)
+            image = np.where(valid[..., None], blur.mend(image, lattice.pitch / patch_size), 0)
+        affine = renderer.grid.affine()
+        return finish_picture(image, valid, affine, renderer.scale, self.flat, calibration)
 
 
 def stack_depths(depth: DepthMap, count: int) -> list[float]:

@@ -9,6 +9,8 @@ import pytest
 
 import lfrender
 from data_synth import SCENES, Camera, simulate
+from data_synth.metrics import compare_pictures
+from data_synth.simulator import true_view
 from lfrender.rendering.refocus import stack_depths
 
 SIZE = (420, 340)
@@ -91,6 +93,45 @@ def test_a_stack_spans_a_slope_evenly_in_virtual_depth():
     assert PITCH / middle == pytest.approx(ratios[2], rel=1e-6)
     with pytest.raises(ValueError, match="at least one"):
         stack_depths(depth, 0)
+
+
+def test_blur_is_even_where_lenses_are_too_few_for_it():
+    shot = capture("house")
+    camera = shot.truth.calibration
+    design = shot.camera
+    depth = depth_of("house")
+    # In focus near the branches; the house behind them is blurred over several pitches.
+    focus = -0.5 * PITCH
+    light_field = lfrender.refocus(shot.flat, camera, focus, scale=6.0)
+    blurred = lfrender.refocus(shot.flat, camera, focus, depth=depth, scale=6.0)
+    # The true picture is the mean of those through all places of the main lens.
+    number = np.arange(60)
+    radius = camera.lattice.radius * np.sqrt((number + 0.5) / 60)
+    angle = number * np.pi * (3 - 5**0.5)
+    truth = np.zeros(blurred.image.shape)
+    scene = SCENES["house"](design)
+    for offset in np.column_stack([radius * np.cos(angle), radius * np.sin(angle)]):
+        affine = np.array(blurred.affine)
+        affine[:, 2] += offset * PITCH / focus
+        size = blurred.image.shape[1::-1]
+        truth += true_view(scene, design, tuple(offset), affine, size, samples=2) / 60
+    where = np.zeros(truth.shape[:2], bool)
+    where[12:-12, 12:-12] = True
+    mesh, even = (
+        compare_pictures(picture.image / 255, truth, where) for picture in (light_field, blurred)
+    )
+    assert even.psnr > mesh.psnr + 6
+    assert even.ssim > 0.8 > 0.5 > mesh.ssim
+
+
+def test_a_depth_map_changes_nothing_where_the_light_field_is_dense():
+    shot = capture("plane", ratio=-0.35)
+    camera = shot.truth.calibration
+    focus = -0.35 * PITCH
+    plain = lfrender.refocus(shot.flat, camera, focus, scale=8.0)
+    known = depth_of("plane", ratio=-0.35)
+    (stacked,) = lfrender.focal_stack(shot.flat, camera, [focus], depth=known, scale=8.0)
+    assert difference(plain, stacked) < 1
 
 
 def test_wrong_arguments_are_refused():
