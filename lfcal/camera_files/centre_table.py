@@ -23,6 +23,7 @@ from ..lattice.lattice import Lattice, reduce_basis
 from ..lattice.robust_fit import fit_affine
 from ..runtime.arrays import Floats, Integers
 from ..runtime.errors import CameraFileError
+from ..runtime.types import Size
 from .text_files import LARGEST
 
 __all__ = ["ROUNDING", "format_centre_table", "parse_centre_table"]
@@ -45,7 +46,7 @@ ROUNDING = 1e-3
 _LEAST_REPEATING = 0.99
 
 
-def parse_centre_table(text: str, size: tuple[int, int], y_up: bool = False) -> Calibration:
+def parse_centre_table(text: str, size: Size, y_up: bool = False) -> Calibration:
     """Fit a lattice to the centres of a table.
 
     With `y_up`, y counts from the bottom of the flat.
@@ -184,7 +185,7 @@ def _find_indices(centres: Floats) -> Floats:
     return found
 
 
-def _fit_lattice(index: Floats, centres: Floats, size: tuple[int, int]) -> tuple[Lattice, float]:
+def _fit_lattice(index: Floats, centres: Floats, size: Size) -> tuple[Lattice, float]:
     design = np.column_stack([np.ones(len(index)), index])
     if np.linalg.matrix_rank(design) < 3:
         raise ValueError("at least three centres that are not in one row are needed")

@@ -17,10 +17,11 @@ import numpy as np
 
 from ..camera.calibration import Calibration
 from ..camera.schema import check_plausible
-from ..runtime.errors import CameraFileError, PathLike, check_path
+from ..runtime.errors import CameraFileError, check_path
 from ..runtime.image_formats import IMAGE_SUFFIXES
 from ..runtime.input_file import read_text
 from ..runtime.output_file import atomic_write, check_output
+from ..runtime.types import AnyPath, Size
 from .centre_table import ROUNDING, format_centre_table, parse_centre_table
 from .text_files import Mode, format_key_value, parse_key_value
 from .xml_files import format_xml, parse_xml
@@ -28,7 +29,7 @@ from .xml_files import format_xml, parse_xml
 __all__ = ["FORMATS", "CameraFormat", "convert", "load"]
 
 
-def _parse_json(text: str, _image_size: tuple[int, int] | None) -> Calibration:
+def _parse_json(text: str, _image_size: Size | None) -> Calibration:
     try:
         return Calibration.from_dict(json.loads(text))
     except (json.JSONDecodeError, RecursionError) as error:
@@ -66,9 +67,7 @@ FORMATS = {
 }
 
 
-def load(
-    path: PathLike, image_size: tuple[int, int] | None = None, *, y_up: bool = False
-) -> Calibration:
+def load(path: AnyPath, image_size: Size | None = None, *, y_up: bool = False) -> Calibration:
     """Read a camera file: our own JSON, or one of another program.
 
     Parameters
@@ -132,7 +131,7 @@ def load(
         raise CameraFileError(f"{source}: {error}; calibrate on a flat instead") from error
 
 
-def convert(calibration: Calibration, path: PathLike, *, mode: Mode | None = None) -> None:
+def convert(calibration: Calibration, path: AnyPath, *, mode: Mode | None = None) -> None:
     """Write a camera in the format its suffix names; the file appears whole or not at all.
 
     `.json` is our own format and keeps everything. `.xml` (`RayCalibData`) keeps lattice, radius

@@ -14,6 +14,7 @@ from ..camera.calibration import Calibration
 from ..lattice.lattice import Lattice, reduce_basis
 from ..runtime.arrays import Floats
 from ..runtime.errors import CameraFileError
+from ..runtime.types import Size
 
 __all__ = [
     "LARGEST",
@@ -65,7 +66,7 @@ class PublishedNumbers(dict[str, str]):
 
 
 def calibration_from_corners(
-    corners: list[Floats], pitch: float, upright: bool, image_size: tuple[int, int]
+    corners: list[Floats], pitch: float, upright: bool, image_size: Size
 ) -> Calibration:
     """Hexagonal lattice through the centres of the four outermost microimages.
 
@@ -108,7 +109,7 @@ def calibration_from_corners(
     return Calibration(lattice, warnings=(warning,))
 
 
-def parse_key_value(text: str, _image_size: tuple[int, int] | None) -> Calibration:
+def parse_key_value(text: str, _image_size: Size | None) -> Calibration:
     """The camera in lines `key : value`; `MLADirection` 1 has hexagons in upright rows."""
     numbers = PublishedNumbers()
     for row, line in enumerate(text.splitlines(), 1):

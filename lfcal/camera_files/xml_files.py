@@ -18,6 +18,7 @@ from ..camera.lens_types import LensTypes
 from ..lattice.lattice import Lattice, reduce_basis
 from ..runtime.arrays import Floats, Integers
 from ..runtime.errors import CameraFileError
+from ..runtime.types import Size
 from .text_files import PublishedNumbers, calibration_from_corners
 
 __all__ = ["format_xml", "parse_xml"]
@@ -28,7 +29,7 @@ _MOST_OFF = 0.2
 _SAME_ANGLE = np.radians(1)  # files give six digits: angles further apart are not rounding
 
 
-def parse_xml(text: str, size: tuple[int, int]) -> Calibration:
+def parse_xml(text: str, size: Size) -> Calibration:
     """The camera in an XML file."""
     from defusedxml import DefusedXmlException
     from defusedxml.ElementTree import ParseError, fromstring
@@ -63,7 +64,7 @@ def _texts(element: Any, place: str = "") -> Iterator[tuple[str, str]]:
 
 
 def _parse_raytrix(
-    numbers: PublishedNumbers, types: list[PublishedNumbers], size: tuple[int, int]
+    numbers: PublishedNumbers, types: list[PublishedNumbers], size: Size
 ) -> Calibration:
     pitch = numbers.positive("diameter")
     rotation = numbers.number("rotation")

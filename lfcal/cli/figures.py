@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from ..runtime.types import Entries
 
 if TYPE_CHECKING:
     from ..camera.calibration import Calibration
@@ -12,7 +14,7 @@ if TYPE_CHECKING:
 __all__ = ["describe", "describe_blur", "describe_optics", "summarise"]
 
 
-def describe(camera: Calibration) -> dict[str, Any]:
+def describe(camera: Calibration) -> Entries:
     """The figures of a calibration that commands print."""
     from ..lattice.lattice import describe_orientation
 
@@ -55,12 +57,12 @@ def describe(camera: Calibration) -> dict[str, Any]:
     }
 
 
-def describe_optics(optics: Optics) -> dict[str, Any]:
+def describe_optics(optics: Optics) -> Entries:
     """Focal length and distances [mm], and all else that was measured, with standard errors."""
     from ..camera.optics import OPTICS_PARAMETERS
 
     lengths = ("focal_length", "mla_distance", "sensor_distance", "pupil")
-    figures: dict[str, Any] = {}
+    figures: Entries = {}
     for name, value, error in zip(
         OPTICS_PARAMETERS, optics.parameters, optics.standard_errors, strict=True
     ):

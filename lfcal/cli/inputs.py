@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..runtime import command_line as cl
+from ..runtime.types import Size
 
 if TYPE_CHECKING:
     from ..camera.calibration import Calibration
@@ -48,14 +49,14 @@ def read_image(given: Any) -> Array:
     return read_flat(given.image)
 
 
-def read_size(given: Any) -> tuple[int, int] | None:
-    size: tuple[int, int] | None = given.size
+def read_size(given: Any) -> Size | None:
+    size: Size | None = given.size
     if given.image is not None:
         size = read_image(given).shape[1::-1]
     return size
 
 
-def read_camera(path: Path, size: tuple[int, int] | None, y_up: bool = False) -> Calibration:
+def read_camera(path: Path, size: Size | None, y_up: bool = False) -> Calibration:
     """A camera file of any format; an error about its missing size names the options for it."""
     from .. import CameraFileError, load
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..runtime import command_line as cl
+from ..runtime.types import Entries
 from .figures import describe_blur, describe_optics
 from .inputs import read_flats
 from .results import BoardResult, MetricResult
@@ -177,7 +178,7 @@ def board(report: cl.Report, given: Any) -> None:
     )
 
 
-def _describe(found: MetricCalibration) -> dict[str, Any]:
+def _describe(found: MetricCalibration) -> Entries:
     import numpy as np
 
     bound = np.array([pose.standard_errors for pose in found.poses]) / np.sqrt(found.widening)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 from ..runtime.command_line import Result
+from ..runtime.types import Entries, Size
 
 __all__ = [
     "AssessResult",
@@ -69,7 +69,7 @@ class _CameraFigures(Result):
         Focal length and distances [mm], with standard errors.
     """
 
-    size: tuple[int, int]
+    size: Size
     lattice: str
     rows: str
     rotation_degrees: float
@@ -79,17 +79,17 @@ class _CameraFigures(Result):
     basis: tuple[_Point, _Point]
     lenses: int
     source: str
-    lens_types: dict[str, Any] | None
+    lens_types: Entries | None
     lenses_used: int | None
     residual_rms: float | None
     confidence: float | None
     proof: str | None
-    evidence: dict[str, Any] | None
+    evidence: Entries | None
     mosaic: str
     defect_pixels: int
     defect_lenses: int
-    lens_blur: dict[str, Any] | None
-    optics: dict[str, Any] | None
+    lens_blur: Entries | None
+    optics: Entries | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,7 +141,7 @@ class FlattenResult(Result):
     """
 
     written: str
-    size: tuple[int, int]
+    size: Size
     type: str
 
 
@@ -187,7 +187,7 @@ class AssessResult(Result):
         Probability that the lattice is right.
     """
 
-    findings: dict[str, dict[str, Any]]
+    findings: dict[str, Entries]
     confidence: float
 
 
@@ -239,7 +239,7 @@ class MetricResult(Result):
     """
 
     camera: str
-    optics: dict[str, Any]
+    optics: Entries
     flats_used: int
     corners: int
     outliers: int

@@ -15,6 +15,7 @@ import numpy as np
 from ..runtime.arrays import Array, Singles
 from ..runtime.errors import FlatError
 from ..runtime.image_formats import identify_format
+from ..runtime.types import Page
 from .pixels import MAX_PIXELS, check_only_page, check_size, check_unpacked, import_reader
 from .tiff import open_tiff
 
@@ -67,7 +68,7 @@ _BLOSC_HEADER = struct.Struct("<4xI4xI")
 _MOST_CHANNELS = 4
 
 
-def read_hdf5(path: Path, page: int | None) -> Array:
+def read_hdf5(path: Path, page: Page) -> Array:
     """The capture in an HDF5 file, or with `page` 1 and more its white and dark images.
 
     Raw pictures (plenoptomos `.vox`), flats, and light fields of views `(v, u, y, x)` are read. A
@@ -165,7 +166,7 @@ def _check_stored(name: str, data: Any) -> None:
         )
 
 
-def read_openexr(path: Path, page: int | None) -> Singles:
+def read_openexr(path: Path, page: Page) -> Singles:
     """(h, w) or (h, w, 3) the only picture of an OpenEXR file: channels R, G, B, or brightness."""
     exr = import_reader("OpenEXR")
     check_only_page(page)
@@ -198,7 +199,7 @@ def read_openexr(path: Path, page: int | None) -> Singles:
     return np.asarray(channels[found[0]], np.float32)
 
 
-def read_raw_photo(path: Path, page: int | None) -> Array:
+def read_raw_photo(path: Path, page: Page) -> Array:
     """(h, w) uint16 colour mosaic of the visible part of the sensor; of linear DNG (h, w, 3)."""
     rawpy = import_reader("rawpy")
     check_only_page(page)

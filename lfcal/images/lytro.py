@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ..runtime.errors import FlatError
 from ..runtime.input_file import LARGEST_TEXT
+from ..runtime.types import Entries, Page
 from .pixels import check_only_page, check_page, check_size
 
 __all__ = ["read_lytro", "unpack_pixels"]
@@ -36,7 +37,7 @@ _REMEDY = (
 )
 
 
-def read_lytro(path: Path, page: int | None) -> NDArray[np.uint16]:
+def read_lytro(path: Path, page: Page) -> NDArray[np.uint16]:
     """(h, w) raw pixels of the picture in a Lytro file, or of white image `page` in an archive."""
     data = memoryview(path.read_bytes())
     sections = dict(_sections(data))
@@ -94,7 +95,7 @@ def _parse(data: memoryview) -> Any:
         raise FlatError(f"damaged Lytro file: a description is no JSON ({error})") from error
 
 
-def _find(value: Any, key: str) -> Iterator[dict[str, Any]]:
+def _find(value: Any, key: str) -> Iterator[Entries]:
     if isinstance(value, dict) and key in value:
         yield value
     inner = value

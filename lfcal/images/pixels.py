@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..runtime.arrays import Array, Singles
 from ..runtime.errors import FlatError
 from ..runtime.packages import import_package
+from ..runtime.types import Page
 
 __all__ = [
     "MAX_PIXELS",
@@ -71,7 +72,7 @@ def check_size(width: int, height: int) -> None:
         )
 
 
-def check_page(page: int | None, count: int, file: str, pictures: str, one: str) -> int:
+def check_page(page: Page, count: int, file: str, pictures: str, one: str) -> int:
     """The number of a picture in a file; FlatError if the file has no such or several pictures."""
     if page is None and count != 1:
         advice = "give the number of one (--page), or use 'lfrender batch'"
@@ -81,7 +82,7 @@ def check_page(page: int | None, count: int, file: str, pictures: str, one: str)
     return page or 0
 
 
-def check_only_page(page: int | None) -> None:
+def check_only_page(page: Page) -> None:
     """Raise FlatError if another page than the only picture of a file is asked for."""
     if page not in (None, 0):
         raise FlatError(f"has one picture and no page {page}")

@@ -8,13 +8,14 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from ..runtime.arrays import Array
-from ..runtime.errors import FlatError, PathLike, check_path
+from ..runtime.errors import FlatError, check_path
 from ..runtime.image_formats import (
     IMAGE_FORMATS,
     RAW_PHOTO_SUFFIXES,
     VIDEO_FORMATS,
     identify_format,
 )
+from ..runtime.types import AnyPath, Page, Size
 from .containers import is_zarr, open_zarr, read_hdf5, read_openexr, read_raw_photo
 from .lytro import read_lytro
 from .pixels import MAX_PIXELS, check_only_page, check_pixels, decode_picture, file_errors
@@ -47,10 +48,10 @@ _CONVERTERS = {
 
 
 def read_flat(
-    path: PathLike,
-    page: int | None = None,
+    path: AnyPath,
+    page: Page = None,
     *,
-    size: tuple[int, int] | None = None,
+    size: Size | None = None,
     pixel_format: str | None = None,
 ) -> Array:
     """Read a raw plenoptic picture with its pixel values as stored.
@@ -100,9 +101,9 @@ def read_flat(
 
 
 def count_pages(
-    path: PathLike,
+    path: AnyPath,
     *,
-    size: tuple[int, int] | None = None,
+    size: Size | None = None,
     pixel_format: str | None = None,
 ) -> int:
     """Number of full pictures in a TIFF or of frames in raw video; 1 for any other image file.
@@ -131,7 +132,7 @@ def count_pages(
         return 1
 
 
-def _decode(source: Path, page: int | None) -> Array:
+def _decode(source: Path, page: Page) -> Array:
     suffix = source.suffix.lower()
     mode = source.stat().st_mode
     if stat.S_ISDIR(mode) and is_zarr(source):

@@ -14,8 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from ..runtime.arrays import Array
-from ..runtime.errors import FlatError, PathLike, check_path
+from ..runtime.errors import FlatError, check_path
 from ..runtime.image_formats import TIFF_SUFFIXES
+from ..runtime.types import AnyPath, Page
 from .containers import is_zarr, open_zarr
 from .pixels import convert_pixels, file_errors
 from .read import read_flat
@@ -59,7 +60,7 @@ class FlatSource(ExitStack):
         self.path = path
         self._read = read
         self.in_parts = in_parts
-        self.page: int | None = None
+        self.page: Page = None
         self.dark: Path | None = None
         with file_errors(path):
             corner = convert_pixels(read(slice(0, 1), slice(0, 1)))
@@ -101,9 +102,9 @@ class FlatSource(ExitStack):
 
 
 def open_flat(
-    path: PathLike,
-    page: int | None = None,
-    dark: PathLike | None = None,
+    path: AnyPath,
+    page: Page = None,
+    dark: AnyPath | None = None,
 ) -> FlatSource:
     """Open a raw plenoptic picture to read it in parts.
 
@@ -136,7 +137,7 @@ def open_flat(
     return source
 
 
-def _open(source: Path, page: int | None) -> FlatSource:
+def _open(source: Path, page: Page) -> FlatSource:
     if source.is_dir() and is_zarr(source):
         with file_errors(source):
             array = open_zarr(source)

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..runtime.arrays import Array
 from ..runtime.errors import FlatError
+from ..runtime.types import Page
 from .pixels import apply_palette, check_page, check_size, check_unpacked
 
 __all__ = ["count_tiff_pages", "open_tiff", "part_reader", "read_tiff", "select_tiff_page"]
@@ -89,7 +90,7 @@ def _full_pages(tiff: Any) -> tuple[list[Any], bool]:
     return [part for part in parts if not part.is_reduced], is_cut_off
 
 
-def select_tiff_page(tiff: Any, number: int | None) -> Any:
+def select_tiff_page(tiff: Any, number: Page) -> Any:
     """The page of a TIFF that is the flat; FlatError if its pixels are incomplete or unknown."""
     pages, is_cut_off = _full_pages(tiff)
     if number in (None, len(pages)) and is_cut_off:
@@ -190,7 +191,7 @@ def _segment_size(page: Any) -> tuple[int, int]:
     return height, width
 
 
-def read_tiff(source: Path, number: int | None) -> Array:
+def read_tiff(source: Path, number: Page) -> Array:
     """Pixels of the page `number` of a TIFF, or of its only full picture."""
     with open_tiff(source) as tiff:
         page = select_tiff_page(tiff, number)
@@ -217,7 +218,7 @@ def _convert(pixels: Array, page: Any) -> Array:
 
 
 def part_reader(
-    source: Path, tiff: Any, number: int | None
+    source: Path, tiff: Any, number: Page
 ) -> tuple[Callable[[slice, slice], Array], Any]:
     """A function that reads some rows and columns of a TIFF, and height and width [px].
 

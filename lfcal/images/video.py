@@ -18,6 +18,7 @@ import numpy as np
 from ..runtime.arrays import Array
 from ..runtime.errors import FlatError
 from ..runtime.image_formats import RAW_SUFFIX, VIDEO_FORMATS
+from ..runtime.types import Page, Size
 from ..runtime.video import import_av, parse_pixel_format, rgb_pixels
 from .pixels import check_page, check_size
 
@@ -37,7 +38,7 @@ class RawLayout(NamedTuple):
     frame_bytes: int
 
 
-def read_video_frame(path: Path, page: int | None) -> Array:
+def read_video_frame(path: Path, page: Page) -> Array:
     """(h, w, 3) frame `page` or the only frame of a video: uint16 above 8 bits, else uint8."""
     if page is not None and page < 0:
         raise FlatError(f"has no frame {page}")
@@ -70,14 +71,12 @@ def is_yuv(path: Path) -> bool:
     return path.suffix.lower() == RAW_SUFFIX
 
 
-def count_yuv_frames(path: Path, size: tuple[int, int] | None, pixel_format: str | None) -> int:
+def count_yuv_frames(path: Path, size: Size | None, pixel_format: str | None) -> int:
     """Number of frames; a truncated one counts too, but cannot be read."""
     return -(-path.stat().st_size // find_layout(path, size, pixel_format).frame_bytes)
 
 
-def read_yuv(
-    path: Path, page: int | None, size: tuple[int, int] | None, pixel_format: str | None
-) -> Array:
+def read_yuv(path: Path, page: Page, size: Size | None, pixel_format: str | None) -> Array:
     """(h, w, 3) frame `page` or the only frame of raw video: uint16 above 8 bits, else uint8.
 
     Colours are converted as FFmpeg converts a frame without a colour space: BT.601, limited range.
@@ -103,9 +102,7 @@ def read_yuv(
         return rgb_pixels(next(film.decode(video=0)))
 
 
-def find_layout(
-    path: Path, size: tuple[int, int] | None = None, pixel_format: str | None = None
-) -> RawLayout:
+def find_layout(path: Path, size: Size | None = None, pixel_format: str | None = None) -> RawLayout:
     """The layout of raw video, given or from its name, a `.cfg` file beside it and its samples.
 
     FlatError if the size or the pixel format is unknown, or the file is shorter than one frame.
@@ -137,7 +134,7 @@ def find_layout(
     return RawLayout(width, height, name, bits, length)
 
 
-def _size_of(path: Path) -> tuple[int, int] | None:
+def _size_of(path: Path) -> Size | None:
     if sizes := re.findall(r"(?<!\d)(\d{2,6})[xX](\d{2,6})(?!\d)", path.stem):
         return int(sizes[-1][0]), int(sizes[-1][1])
     camera = path.with_suffix(".cfg")

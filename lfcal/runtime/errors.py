@@ -17,15 +17,12 @@ __all__ = [
     "CameraFileError",
     "FlatError",
     "LightFieldError",
-    "PathLike",
     "check_number",
     "check_numbers",
     "check_path",
     "check_type",
 ]
 
-#: The path of a file or folder, as public functions take it.
-PathLike = str | os.PathLike[str]
 #: Where a camera comes from, for `check_type`.
 CAMERA_ADVICE = "lfcal.calibrate makes one of a flat, lfcal.load reads one from a file"
 #: Ending of messages about images that show no microimages.

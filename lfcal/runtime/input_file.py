@@ -8,7 +8,8 @@ from io import BytesIO, TextIOWrapper
 from json import detect_encoding
 
 from .arrays import LARGEST_BLOCK
-from .errors import PathLike, check_path
+from .errors import check_path
+from .types import AnyPath
 
 __all__ = ["LARGEST_TEXT", "open_regular", "read_text"]
 
@@ -17,7 +18,7 @@ __all__ = ["LARGEST_TEXT", "open_regular", "read_text"]
 LARGEST_TEXT = LARGEST_BLOCK
 
 
-def open_regular(path: PathLike) -> int:
+def open_regular(path: AnyPath) -> int:
     """Open a regular file for reading and return its descriptor.
 
     OSError for other files. A pipe without a writer is not waited for.
@@ -36,7 +37,7 @@ def open_regular(path: PathLike) -> int:
     return descriptor
 
 
-def read_text(path: PathLike) -> str:
+def read_text(path: AnyPath) -> str:
     """The text of a file in UTF-8, UTF-16 or UTF-32, with or without a byte order mark.
 
     OSError if it has more than `LARGEST_TEXT` bytes.

@@ -10,8 +10,9 @@ from contextlib import ExitStack, contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
 
-from .errors import LightFieldError, PathLike, check_path
+from .errors import LightFieldError, check_path
 from .file_lock import file_lock
+from .types import AnyPath
 
 __all__ = [
     "OutputError",
@@ -43,7 +44,7 @@ class OutputError(LightFieldError, OSError):
 
 
 @contextmanager
-def atomic_write(path: PathLike) -> Iterator[Path]:
+def atomic_write(path: AnyPath) -> Iterator[Path]:
     """Give a temporary file beside `path`, and rename it to `path` if there is no error.
 
     It has the suffix of `path`, for writers that choose the format by it, and the usual permissions
@@ -71,7 +72,7 @@ def _temporary(target: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def _output_errors(target: PathLike, what: str) -> Iterator[None]:
+def _output_errors(target: AnyPath, what: str) -> Iterator[None]:
     """Turn an OSError into an OutputError: the output cannot be written or made."""
     try:
         yield
@@ -82,7 +83,7 @@ def _output_errors(target: PathLike, what: str) -> Iterator[None]:
 
 
 @contextmanager
-def claim(output: PathLike) -> Iterator[None]:
+def claim(output: AnyPath) -> Iterator[None]:
     """Keep other processes and threads from an output that is written in many steps.
 
     A function may claim what its caller has claimed. OutputError that names the other process.
@@ -116,9 +117,9 @@ def discard_unfinished() -> None:
 
 
 def check_output(
-    path: PathLike,
+    path: AnyPath,
     suffixes: Collection[str],
-    inputs: Iterable[PathLike | None] = (),
+    inputs: Iterable[AnyPath | None] = (),
 ) -> None:
     """Refuse an output that cannot be written, before anything is computed for it.
 
@@ -136,7 +137,7 @@ def check_output(
     _check_place(target)
 
 
-def refuse_inputs(path: PathLike, inputs: Iterable[PathLike | None]) -> None:
+def refuse_inputs(path: AnyPath, inputs: Iterable[AnyPath | None]) -> None:
     """Raise an OutputError if an output is one of the files that are read for it."""
     target = Path(path)
     if target.exists() and any(
@@ -153,7 +154,7 @@ def _check_place(target: Path) -> None:
         pass
 
 
-def check_folder(path: PathLike, parents: bool = False) -> Path:
+def check_folder(path: AnyPath, parents: bool = False) -> Path:
     """Refuse a folder for results that cannot be written, before anything is computed for it.
 
     OutputError if it is a file, or is named like one and does not exist yet, or if no file can be
@@ -196,7 +197,7 @@ def refuse_leftovers(folder: Path, pattern: str, names: Collection[str]) -> None
         raise OutputError(f"{folder}: {problem}; delete them, or give another folder")
 
 
-def make_folder(path: PathLike, parents: bool = False) -> Path:
+def make_folder(path: AnyPath, parents: bool = False) -> Path:
     """Make a folder for results where it does not exist, as `check_folder` allows.
 
     OutputError if that fails.

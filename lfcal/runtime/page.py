@@ -9,13 +9,13 @@ from io import BytesIO, StringIO
 from pathlib import Path
 from typing import Any
 
-from .errors import PathLike
 from .output_file import atomic_write
+from .types import AnyPath
 
 __all__ = ["html_card", "html_table", "to_svg", "write_page"]
 
 
-def write_page(path: PathLike, template: Path, **values: Any) -> None:
+def write_page(path: AnyPath, template: Path, **values: Any) -> None:
     """Fill a template with values, which are escaped, and write it as a page.
 
     The page appears whole or not at all.

@@ -11,13 +11,14 @@ from typing import Any
 import numpy as np
 
 from .arrays import Array
-from .errors import FlatError, PathLike
+from .errors import FlatError
 from .packages import import_package
+from .types import AnyPath
 
 __all__ = ["convert_frame", "import_av", "parse_pixel_format", "rgb_pixels"]
 
 
-def import_av(path: PathLike) -> Any:
+def import_av(path: AnyPath) -> Any:
     """The package `av`; FlatError with the name of the file if it is not installed."""
     return import_package("av", f"{path}: videos need", FlatError)
 

@@ -24,12 +24,11 @@ from numpy.typing import NDArray
 
 from lfcal import FlatError, LightFieldError
 from lfcal.runtime.image_formats import IMAGE_SUFFIXES, RAW_SUFFIX, VIDEO_FORMATS
-from lfcal.runtime.opencv_log import set_opencv_log
 from lfcal.runtime.packages import check_package
 
 from ..sequence.frames import open_frames
 
-__all__ = ["Shot", "SourceError", "open_source", "to_flat"]
+__all__ = ["Shot", "SourceError", "open_source", "silence_opencv", "to_flat"]
 
 # A camera that gives no frame for so long [s] is taken for unplugged.
 _PATIENCE = 5.0
@@ -114,12 +113,20 @@ def _play_files(path: Path, rate: float | None) -> Iterator[Shot]:
         complete = error is None and kept is not None
 
 
+def silence_opencv() -> None:
+    """Let OpenCV report nothing itself."""
+    import cv2
+
+    # Since OpenCV 4.13 the function is in a module of its own.
+    getattr(cv2.utils, "logging", cv2).setLogLevel(0)
+
+
 def _read_opencv(name: str) -> Iterator[Shot]:
     import cv2
 
     # This program reports errors itself, once.
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-    set_opencv_log(0)
+    silence_opencv()
     if name.isdigit():
         device = cv2.VideoCapture(int(name))
     elif " ! " in name:

@@ -13,8 +13,9 @@ from typing import Any
 import click
 import msgspec
 
-from ..errors import LightFieldError, PathLike
+from ..errors import LightFieldError
 from ..progress import ProgressDisplay
+from ..types import AnyPath
 from .parameters import is_piped, name_pipes
 
 __all__ = ["Report", "echo", "echo_json", "name_file_in_errors"]
@@ -142,7 +143,7 @@ def table(figures: Mapping[str, Any]) -> list[str]:
 
 
 @contextmanager
-def name_file_in_errors(path: PathLike) -> Iterator[None]:
+def name_file_in_errors(path: AnyPath) -> Iterator[None]:
     """Put the name of a file before errors that do not have it."""
     try:
         yield

@@ -5,9 +5,10 @@ from __future__ import annotations
 import inspect
 import re
 from dataclasses import dataclass, field, fields
-from typing import Any
 
 import msgspec
+
+from ..types import Entries
 
 __all__ = ["VERSION", "Failure", "Result", "describe_keys", "json_schema"]
 
@@ -68,7 +69,7 @@ def describe_keys(result: type) -> dict[str, str]:
     return {key.name: told[key.name] for key in fields(result)}
 
 
-def json_schema(result: type) -> dict[str, Any]:
+def json_schema(result: type) -> Entries:
     """The JSON Schema of an object, with the meaning of each key."""
     schema = msgspec.json.schema(result)
     about = schema["$defs"][result.__name__]

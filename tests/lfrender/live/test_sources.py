@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import cv2
 import pytest
 
-from lfcal.runtime.opencv_log import set_opencv_log
+from lfrender.live.sources import silence_opencv
 
 
 @pytest.mark.parametrize("since", ["4.9", "4.13"])
@@ -19,5 +19,5 @@ def test_the_level_is_set_where_the_version_has_it(monkeypatch, since):
         utils = SimpleNamespace()
         monkeypatch.setattr(cv2, "setLogLevel", levels.append, raising=False)
     monkeypatch.setattr(cv2, "utils", utils)
-    set_opencv_log(0)
+    silence_opencv()
     assert levels == [0]
