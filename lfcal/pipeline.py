@@ -265,10 +265,11 @@ def _find_dark_rest(picture: NDArray[np.float32], pitch: float) -> str | None:
     """A warning if the convex hull of the light of a scene (h, w) leaves out much of the flat."""
     import cv2
 
+    from .microimage.lit import UNLIT, is_lit
+
     side = int(np.ceil(pitch))
     mean = cv2.blur(picture, (side, side))[side // 2 :: side, side // 2 :: side]
-    # A fifth of the root of light: a twenty-fifth of the light.
-    y, x = np.nonzero(mean > 0.2 * np.quantile(mean, 0.95))
+    y, x = np.nonzero(is_lit(mean**2, UNLIT))
     hull: Any = cv2.convexHull(np.column_stack([x, y]).astype(np.int32))
     share = cv2.contourArea(hull) / np.prod(np.maximum(np.array(mean.shape) - 1, 1))
     # Captures have 0.77 and more; one that was a quarter of a pitch beside its lattice 0.17.

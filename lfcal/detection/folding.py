@@ -16,6 +16,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from ..microimage.lit import STRAY, is_lit
 from ..runtime.arrays import Booleans, Floats, Singles
 from ..runtime.kernels import kernel
 
@@ -241,8 +242,7 @@ def fold_lit_tiles(
     folds = fold_tiles(features, basis, side)
     power = np.sum([fold.lattice_power() for fold in folds], axis=0)
     tone = np.ravel(cv2.resize(picture, folds[0].grid[::-1], interpolation=cv2.INTER_AREA))
-    # Stray light has a sixth of the light of the array.
-    beside = (tone < 0.4 * np.quantile(tone, 0.9)) & (power < 0.1 * np.quantile(power, 0.9))
+    beside = ~is_lit(tone**2, STRAY) & (power < 0.1 * np.quantile(power, 0.9))
     return [fold.mask(~beside) for fold in folds] if beside.any() else folds
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from ..camera.evidence import Evidence
 from ..hough.circle_vote import Circles
 from ..lattice.lattice import Lattice
+from ..microimage.lit import STRAY, is_lit
 from ..runtime.arrays import Floats, Singles
 from .borders import LineProfile
 from .cell_maps import CellMaps, CellParts
@@ -27,8 +28,6 @@ _NODES = 12
 _UNKNOWN_HALVES = 0.01
 #: Width of the bands in which outlines are looked for, over half the distance to the nearest lens.
 _BAND = 0.08
-#: Root of the light over that of bright places, from which on lenses may show a mark.
-_LIT = 0.4
 #: Fewer marks tell nothing.
 _FEWEST_MARKS = 20
 #: Share of the points beside a lattice with circles, from which on these are the lenses.
@@ -200,7 +199,7 @@ class Marks:
         high = np.ceil(centres.max(0)).astype(int) + 1
         side = int(3 * pitch) | 1
         mean = cv2.blur(picture[low[1] : high[1], low[0] : high[0]], (side, side))
-        lit = mean > _LIT * np.quantile(mean[::4, ::4], 0.95)
+        lit = is_lit(mean**2, STRAY)
         last = np.array(lit.shape[::-1]) - 1
         column, row = np.clip(np.rint(centres - low).astype(int), 0, last).T
         area = float(lit.mean()) * float((centres.max(0) - centres.min(0)).prod())

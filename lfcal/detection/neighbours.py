@@ -16,6 +16,7 @@ import numpy as np
 from ..images.preprocessing import interpolate_linear
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import sample_lenses
+from ..microimage.lit import STRAY, is_lit
 from ..runtime.arrays import Floats, Singles
 from ..runtime.kernels import kernel
 
@@ -85,14 +86,12 @@ def _differ(first: Floats, second: Floats) -> float:
 
 
 def _select_lit(picture: Singles, centres: Floats, radius: float) -> Floats:
-    """The centres (n, 2) of lenses that are no darker than 0.45 of the brightest: stray light has a
-    sixth.
-    """
+    """The centres (n, 2) of lit lenses."""
     around = radius * np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)])
     if len(centres) == 0:
         return centres
     tones = interpolate_linear(picture, centres[:, None] + around).mean(1)
-    return centres[tones > 0.45 * np.quantile(tones, 0.95)]
+    return centres[is_lit(tones**2, STRAY)]
 
 
 def _sample_lines(

@@ -14,6 +14,7 @@ from ..camera.lattice_figures import white_probability
 from ..images.preprocessing import interpolate_linear
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import sample_lenses
+from ..microimage.lit import STRAY, is_lit
 from ..runtime.arrays import Floats, Integers, Singles
 
 __all__ = ["Tones", "is_white_image", "measure_tones"]
@@ -52,7 +53,7 @@ def measure_tones(picture: Singles, lattice: Lattice) -> Tones | None:
         interpolate_linear(picture, centres[:, None] + core) if len(centres) else np.zeros((0, 1))
     )
     tones = values.mean(1)
-    lit = tones > 0.3 * np.quantile(tones, 0.95) if len(tones) else np.zeros(0, np.bool_)
+    lit = is_lit(tones**2, STRAY)
     if lit.sum() < 24:
         return None
     indices = indices[lit]

@@ -22,9 +22,9 @@ from ..lattice.cell import Cell, is_outside_cell
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import ReadCrop
 from ..lattice.robust_fit import robust_sigma
+from ..microimage.lit import UNLIT, bright_light
 from ..runtime.arrays import Booleans, Floats, Integers, Singles, evenly
 from ..runtime.kernels import kernel
-from ..white_fit.microimages import UNLIT
 
 __all__ = [
     "LensLights",
@@ -200,9 +200,7 @@ def fit_lens_lights(found: LensMeasurements, lattice: Lattice, gain: GainMap) ->
     seen = found.number > 0
     light = found.light
     few = evenly(len(centres), _SAMPLE)
-    top = 1.0
-    if seen[few].any():
-        top = float(np.percentile(light[few][seen[few]], 95))
+    top = bright_light(light[seen])
     lit = seen & (light > UNLIT * top)
     # Stray light has not the shape of microimages.
     shaped = found.contrast > _SHAPED

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from ..camera.lens_types import LensTypes
 from ..gain.gain_map import BEFORE_RIM, GainMap, Vignetting, nearest_half
 from ..lattice.lattice import Lattice
+from ..microimage.lit import UNLIT, is_lit
 from ..runtime.arrays import Floats, Integers, evenly
 from ..runtime.errors import CalibrationError
 from .residuals import CLIPPED_PIXELS, CORES, Sample
@@ -38,8 +39,6 @@ __all__ = [
 
 #: Rings with a smaller share of the pixels of the fullest ring are interpolated.
 FEW_PIXELS = 1e-3
-# Level of a window over the mean, below which it is dark.
-_DARK = 0.02
 # [px] Width over which profiles of types are smoothed.
 _SMOOTH = 1.25
 # Relative difference of the light of types that matters.
@@ -106,7 +105,7 @@ class ProfilePixels(NamedTuple):
         radii = np.arange(shape[2]) * gain.step
         number = weight[..., radii < core].sum(-1)
         level = light[..., radii < core].sum(-1) / np.maximum(number, 1e-12)
-        bright = (number > 0).all(1) & (level.min(1) > _DARK * level.mean())
+        bright = (number > 0).all(1) & (is_lit(level.min(1), UNLIT))
         # A lens has few pixels in its middle: their mean would be noisier than those around it.
         for sums in (light, weight):
             sums[..., radii < 1.5] = sums[..., radii < 1.5].mean(-1, keepdims=True)

@@ -1,6 +1,4 @@
-"""Subsets of the lenses of a flat: whole, evenly spread, lit ones, and those on crops of a large
-flat.
-"""
+"""Subsets of the lenses of a flat: whole, evenly spread, and those on crops of a large flat."""
 
 from __future__ import annotations
 
@@ -10,12 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..runtime.arrays import Booleans, Floats, Integers, Singles
-from .lattice import Lattice, reduce_basis
+from .lattice import Lattice
 
 __all__ = [
     "ReadCrop",
     "StackedCrops",
-    "find_lit_lenses",
     "sample_lenses",
     "sample_mask",
 ]
@@ -84,51 +81,3 @@ class StackedCrops:
         crop = np.repeat(np.arange(len(self)), [len(index) for index in inside])
         indices = np.concatenate(inside)
         return indices, lattice.points(indices), crop
-
-
-def find_lit_lenses(
-    picture: Singles, lattice: Lattice, indices: Integers, centres: Floats, dark: float
-) -> Booleans:
-    """(n,) whether lenses are lit and not next to a dark one, as the border of the array cuts some.
-
-    Stray light also reaches pixels without a lens, so lenses are found by the step to the gaps
-    around them where gaps are visible, else by the brightness of their core.
-
-    `picture` (h, w) is light or its square root; `centres` (n, 2) are at least 1.5 px inside it. A
-    lens is dark below the share `dark` of the step (or brightness) of a bright lens.
-    """
-    if len(centres) == 0:
-        return np.zeros(0, dtype=bool)
-
-    def mean_at(offsets: Floats) -> Floats:
-        total = np.zeros(len(centres))
-        for offset in offsets:
-            x, y = np.rint(centres + offset).astype(np.int64).T
-            total += picture[y.clip(0, len(picture) - 1), x.clip(0, picture.shape[1] - 1)]
-        return total / len(offsets)
-
-    core = mean_at(np.stack(np.meshgrid([-1, 0, 1], [-1, 0, 1]), -1).reshape(-1, 2))
-    step = core - mean_at(_cell_corners(lattice))
-    # Bright, without being dust or a hot pixel.
-    few = slice(None, None, max(1, len(core) // 20_000))
-    bright = 0.95
-    has_gaps = np.quantile(step[few], bright) > 0.3 * np.quantile(core[few], bright)
-    value = step if has_gaps else core
-    unlit = value < dark * np.quantile(value[few], bright)
-    if not unlit.any():
-        return ~unlit
-    low = indices.min(0) - 1
-    grid = np.zeros(indices.max(0) - low + 2, dtype=bool)
-    grid[tuple((indices[unlit] - low).T)] = True
-    beside = unlit.copy()
-    for neighbour in lattice.steps:
-        beside |= grid[tuple((indices - low + neighbour).T)]
-    return ~beside
-
-
-def _cell_corners(lattice: Lattice) -> Floats:
-    """(6, 2) from a lens to the corners of its cell, where three or four lenses meet [px]."""
-    a, b = reduce_basis(lattice.basis)
-    corner = np.linalg.solve(np.array([a, b]), [a @ a / 2, b @ b / 2])
-    half = np.array([corner, corner - a, corner - b])
-    return np.concatenate([half, -half])

@@ -22,6 +22,7 @@ from ..images.mosaic import equalise_mosaic
 from ..images.preprocessing import luminance
 from ..lattice.cell import Cell
 from ..lattice.robust_fit import MAD_TO_SIGMA
+from ..microimage.lit import STRAY, UNLIT, is_lit
 from ..runtime.arrays import evenly
 
 __all__ = ["LIGHT_FAULT", "Field", "MicroimageField", "measure_microimages"]
@@ -64,9 +65,6 @@ _SQUARES = 0.65
 _LENSES_OF_TILE = 30
 _MOST_TILES = 4
 _PIXELS_OF_TILE = 6e4
-# Light over the median, of tiles and of lenses, below which they are dark.
-_DARK_TILE = 0.1
-_DARK_LENS = 0.3
 # [cell] Pixels up to a little beyond the border are averaged.
 _BORDER = 0.52
 # Squares across half a microimage, and across one of several types.
@@ -387,8 +385,8 @@ def _average_tiles(
         )
         if tile is not None and len(np.unique(tile.kind)) == count:
             tiles.append(tile)
-    typical = float(np.median([tile.level for tile in tiles])) if tiles else 0.0
-    return [tile for tile in tiles if tile.level > _DARK_TILE * typical]
+    lit = is_lit(np.array([tile.level for tile in tiles]), UNLIT)
+    return [tile for tile, bright in zip(tiles, lit, strict=True) if bright]
 
 
 def _average(
@@ -420,7 +418,7 @@ def _average(
     core = (value * middle).sum((1, 2)) / middle.sum((1, 2))
     typical = float(np.median(core))
     # Neither dead lenses nor those behind dust.
-    keep = core > _DARK_LENS * typical
+    keep = is_lit(core, STRAY)
     if typical <= 0 or keep.sum() < 4:
         return None
     value = value[keep] / core[keep, None, None]

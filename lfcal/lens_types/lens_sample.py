@@ -16,6 +16,7 @@ import numpy as np
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops
 from ..lattice.robust_fit import robust_sigma
+from ..microimage.lit import UNLIT, is_lit
 from ..runtime.arrays import Booleans, Floats, Integers, Singles
 from ..runtime.kernels import kernel
 
@@ -38,8 +39,6 @@ _RIM = (0.8, 0.97)
 _CORE = (0.5, 0.75)
 # Finest details of a microlens over its diameter.
 _DETAILS = 28
-# Light over the median below which sharpness shows noise.
-_DARK = 0.03
 # Smallest squared contrast of a picture of 8 bits and mean 1.
 _NOISE = 1 / 65536
 
@@ -208,7 +207,8 @@ def measure_lens_features(picture: Singles, sample: LensSample) -> LensFeatures:
         return (relative - expected).sum(1) / np.maximum(pixels.sum(1), 1), share
 
     level = mean(zone(0, 0.5))
-    lit = level > _DARK * np.median(level) if len(level) else np.zeros(0, bool)
+    # Sharpness of dark lenses shows noise.
+    lit = is_lit(level, UNLIT)
     chosen = chosen[lit]
     level = level[lit]
     energy = energy[lit]

@@ -16,14 +16,14 @@ from ..gain.gain_map import fit_light_slope
 from ..images.stack import clipping_level
 from ..lattice.cell import Cell
 from ..lattice.lattice import Lattice
-from ..lattice.lens_subset import StackedCrops, find_lit_lenses, sample_mask
+from ..lattice.lens_subset import StackedCrops, sample_mask
 from ..lattice.robust_fit import SIGNIFICANT
+from ..microimage.lit import UNLIT, find_lit_lenses, is_lit
 from ..runtime.arrays import ENOUGH_PIXELS, Booleans, Floats, Integers, Singles, evenly
 from ..runtime.errors import CalibrationError
 from .kernel import Rings, Sums, Windows, add_lenses
 
 __all__ = [
-    "UNLIT",
     "Microimages",
     "compare_pixels",
     "cut_out",
@@ -46,8 +46,6 @@ _INNER = 0.6
 _CORE = 0.4
 # Share of the median weight that a ring needs to have a harmonic.
 _FEW = 0.01
-#: Lenses that are darker than this share of the bright ones (95 %) are not lit.
-UNLIT = 0.03
 # Pixels that a slope is measured on.
 _SLOPE_PIXELS = 2e5
 # Lenses that centroids are measured on.
@@ -253,9 +251,7 @@ def cut_out(
         .mean((1, 2))
         .astype(float)
     )
-    bright = np.zeros(0, dtype=bool)
-    if len(gain):
-        bright = gain > UNLIT * np.quantile(gain, 0.95)
+    bright = is_lit(gain, UNLIT)
     if bright.sum() < _FEWEST_LENSES:
         raise CalibrationError(
             f"only {bright.sum()} whole microimages of {lattice.pitch:.1f} px pitch are lit on the "

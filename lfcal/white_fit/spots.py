@@ -7,6 +7,7 @@ import numpy as np
 from ..lattice.lattice import Lattice
 from ..lattice.robust_fit import LatticeFit, field_rms, fit_affine
 from ..lattice.standard_errors import equal_weight_errors
+from ..microimage.lit import UNLIT, is_lit
 from ..runtime.arrays import Singles
 from ..runtime.errors import CalibrationError
 
@@ -48,7 +49,7 @@ def fit_spots(picture: Singles, start: Lattice) -> LatticeFit:
         light -= np.median(light, axis=1, keepdims=True)
         np.maximum(light, 0, out=light)
         total = light.sum(1)
-        lit = total > 0.1 * np.quantile(total, 0.9)
+        lit = is_lit(total, UNLIT)
         if lit.sum() < 12:
             raise CalibrationError(
                 f"only {lit.sum()} whole microimages have light; give a brighter white image"

@@ -9,7 +9,6 @@ from lfcal.lattice.distortion import Distortion
 from lfcal.lattice.lattice import Lattice
 from lfcal.lattice.lens_subset import (
     StackedCrops,
-    find_lit_lenses,
     sample_lenses,
 )
 
@@ -44,15 +43,3 @@ def test_lenses_of_parts_are_those_of_the_flat_well_inside_them():
     np.testing.assert_array_equal(
         parts.picture[there[:, 1], there[:, 0]], picture[at[:, 1], at[:, 0]]
     )
-
-
-def test_dark_lenses_and_their_neighbours_are_left_out():
-    # 400 x 300 px of round microimages, those left of x = 150 px unlit.
-    lattice = Lattice([5.0, 5.0], [[10.0, 0.0], [0.0, 10.0]], (400, 300), 4.0)
-    y, x = np.mgrid[:300, :400]
-    light = np.where((np.hypot(x % 10 - 5, y % 10 - 5) < 4) & (x > 150), 1.0, 0.02)
-    indices, centres = lattice.select_whole(7.0)
-    lit = find_lit_lenses(np.sqrt(light).astype(np.float32), lattice, indices, centres, 0.2)
-    # The first lit column is at 155 px, the one next to the dark ones.
-    assert centres[lit, 0].min() == 165
-    assert lit.sum() == 23 * 28
