@@ -14,7 +14,7 @@ from ..camera.lattice_figures import white_probability
 from ..images.preprocessing import interpolate_linear
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import sample_lenses
-from ..microimage.lit import STRAY, is_lit
+from ..microimage.lit import is_lit
 from ..runtime.arrays import Floats, Integers, Singles
 
 __all__ = ["Tones", "is_white_image", "measure_tones"]
@@ -25,6 +25,9 @@ _LENSES = 500
 _PERIOD = 6
 #: Share of the radius that is measured, within which a spot is in the middle.
 _CENTRAL = 0.4
+#: Light over that of bright lenses, from which on they are measured: with 0.16, a flat of small
+#: microimages with dark ones (elemental_16px) is found to be no certain scene.
+_LIT = 0.09
 #: Relative difference of light that makes a lens unlike its neighbours.
 _UNLIKE = 0.1
 
@@ -53,7 +56,7 @@ def measure_tones(picture: Singles, lattice: Lattice) -> Tones | None:
         interpolate_linear(picture, centres[:, None] + core) if len(centres) else np.zeros((0, 1))
     )
     tones = values.mean(1)
-    lit = is_lit(tones**2, STRAY)
+    lit = is_lit(tones**2, _LIT)
     if lit.sum() < 24:
         return None
     indices = indices[lit]

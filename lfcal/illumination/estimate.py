@@ -24,8 +24,8 @@ from ..lattice.cell import Cell
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops
 from ..lattice.robust_fit import TUKEY_CUTOFF
+from ..microimage.average import average_profile, estimate_variance
 from ..runtime.arrays import Array, Booleans, Floats, Singles
-from .profiles import FEW_PIXELS
 from .residuals import Residuals, collect_residuals, draw_sample
 
 __all__ = ["estimate_gain"]
@@ -34,8 +34,6 @@ __all__ = ["estimate_gain"]
 _PIXELS = 1.5e5
 # [px] between samples of the profile; a rim is about one pixel soft.
 _STEP = 0.25
-# Least share of the pixels of a ring whose noise is measured by itself.
-_FEW = 1e-4
 # Light of a rim falls by at least this over the radius; a term of the rim moves it by more [px].
 _LEAST = 0.02
 # Directions in which rims are summed, four for each period of the finest harmonic.
@@ -75,7 +73,7 @@ def estimate_gain(
             gain = replace(gain, rim=_fit_rim(residuals, gain, *rims, scene))
             if not scene:
                 gain = replace(gain, shading=_fit_shading(residuals, gain, rims[0]))
-            largest = TUKEY_CUTOFF * _estimate_noise(residuals, rings)
+            largest = TUKEY_CUTOFF * _measure_noise(residuals, rings)
         gain = _correct_profile(gain, residuals)
         if terms and len(gain.cut):
             # From new residuals: where the two rims coincide, both would else be moved to correct
@@ -86,13 +84,12 @@ def estimate_gain(
     return gain
 
 
-def _estimate_noise(residuals: Residuals, rings: int) -> Array:
+def _measure_noise(residuals: Residuals, rings: int) -> Array:
     """(k,) standard deviation of pixels over the distance to the centre."""
-    square = np.bincount(residuals.ring, residuals.weight * residuals.error**2, rings)
-    count = np.bincount(residuals.ring, residuals.weight, rings)
-    few = max(_FEW * count.sum(), 1e-12)
-    near = np.convolve(square, np.ones(5), "same") + few * square.sum() / max(count.sum(), 1e-12)
-    return np.sqrt(np.maximum(near / (np.convolve(count, np.ones(5), "same") + few), 1e-12))
+    before = residuals.places.before
+    squares = np.bincount(before, residuals.weight * residuals.error**2, rings)
+    number = np.bincount(before, residuals.weight, rings)
+    return np.sqrt(np.maximum(estimate_variance(squares, number), 1e-12))
 
 
 def _correct_profile(gain: GainMap, residuals: Residuals) -> GainMap:
@@ -100,19 +97,14 @@ def _correct_profile(gain: GainMap, residuals: Residuals) -> GainMap:
     r = residuals
     rings = len(gain.profile)
     bright = r.weight * r.through * r.plane * (r.through > 0.5)
-    pixels = r.spread(bright * r.through * r.plane, rings)
-    found = np.maximum(
-        gain.profile + r.spread(bright * r.error, rings) / np.maximum(pixels, 1e-300), 0.0
-    )
-    # Rings with hardly any pixel are interpolated.
-    at = np.arange(rings)
-    filled = pixels > FEW_PIXELS * pixels.max()
+    pixels = r.places.add(bright * r.through * r.plane, rings)
     profile = gain.profile
-    if filled.any():
-        profile = np.interp(at, at[filled], found[filled])
+    if pixels.any():
+        error = r.places.add(bright * r.error, rings)
+        profile = np.maximum(average_profile(profile * pixels + error, pixels), 0)
     stray = max(profile.min() if math.isnan(r.stray) else gain.stray_light + r.stray, 0.0)
     smooth = np.convolve(np.pad(profile, 2, "edge"), np.ones(5) / 5, "valid")
-    brightest = max(float(smooth[at * gain.step < gain.radius].max()), 1e-9)
+    brightest = max(float(smooth[np.arange(rings) * gain.step < gain.radius].max()), 1e-9)
     return replace(gain, profile=profile / brightest, stray_light=stray / brightest)
 
 
@@ -153,7 +145,7 @@ def _select_rims(residuals: Residuals, gain: GainMap) -> tuple[Booleans, Array]:
     r = residuals
     slope = np.gradient(gain.profile, gain.step)
     far = np.hypot(r.sample.x, r.sample.y) / gain.radius
-    steep = (slope[r.ring] * (1 - r.part) + slope[r.ring + 1] * r.part) * r.through * r.plane * far
+    steep = r.places.read(slope) * r.through * r.plane * far
     return np.abs(steep) > _LEAST, steep
 
 

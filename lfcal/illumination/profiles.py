@@ -22,13 +22,13 @@ from numpy.typing import NDArray
 from ..camera.lens_types import LensTypes
 from ..gain.gain_map import BEFORE_RIM, GainMap, Vignetting, nearest_half
 from ..lattice.lattice import Lattice
+from ..microimage.average import ProfilePlaces, average_profile
 from ..microimage.lit import UNLIT, is_lit
-from ..runtime.arrays import Floats, Integers, evenly
+from ..runtime.arrays import Floats, evenly
 from ..runtime.errors import CalibrationError
 from .residuals import CLIPPED_PIXELS, CORES, Sample
 
 __all__ = [
-    "FEW_PIXELS",
     "ProfilePixels",
     "SceneProfiles",
     "average_vignetting",
@@ -37,8 +37,8 @@ __all__ = [
     "order_by_rims",
 ]
 
-#: Rings with a smaller share of the pixels of the fullest ring are interpolated.
-FEW_PIXELS = 1e-3
+# Weight of rings without pixels in the fit of a falling profile, over that of the fullest one.
+_LEAST_WEIGHT = 1e-3
 # [px] Width over which profiles of types are smoothed.
 _SMOOTH = 1.25
 # Relative difference of the light of types that matters.
@@ -60,8 +60,7 @@ class ProfilePixels(NamedTuple):
 
     sample: Sample  # pixels, not cut off by more than half
     through: Floats  # (p,) share that is not cut off
-    ring: Integers  # (p,) sample of the profile before the pixel
-    part: Floats  # (p,) how far it lies towards the next one
+    places: ProfilePlaces  # (p,) on the profile
 
     @classmethod
     def of(cls, sample: Sample, gain: GainMap) -> ProfilePixels:
@@ -76,10 +75,8 @@ class ProfilePixels(NamedTuple):
             lit.astype(np.float64)
         )
         chosen = np.flatnonzero(lit & whole[sample.lens])
-        place = stretched[chosen] / gain.step
-        ring = np.minimum(place.astype(np.int64), len(gain.profile) - 2)
-        part = np.minimum(place - ring, 1.0)
-        return cls(sample.select(chosen), through[chosen], ring, part)
+        places = ProfilePlaces.of(stretched[chosen] / gain.step, len(gain.profile))
+        return cls(sample.select(chosen), through[chosen], places)
 
     def sum_windows(
         self, gain: GainMap, types: NDArray[np.int8], core: float
@@ -93,15 +90,11 @@ class ProfilePixels(NamedTuple):
         sample = self.sample
         shape = sample.windows, int(types.max(initial=0)) + 1, len(gain.profile)
         size = math.prod(shape)
-        first = shape[2] * (types + shape[1] * sample.window)
-        ring = self.ring + first[sample.lens]
+        first = (shape[2] * (types + shape[1] * sample.window))[sample.lens]
         light, weight = (
-            np.bincount(ring, values * (1 - self.part), size)
-            + np.bincount(ring + 1, values * self.part, size)
+            self.places.add(values, size, first).reshape(shape)
             for values in (sample.value, self.through)
         )
-        light = light.reshape(shape)
-        weight = weight.reshape(shape)
         radii = np.arange(shape[2]) * gain.step
         number = weight[..., radii < core].sum(-1)
         level = light[..., radii < core].sum(-1) / np.maximum(number, 1e-12)
@@ -153,10 +146,9 @@ def fit_scene_profiles(found: ProfilePixels, gain: GainMap) -> SceneProfiles:
     shown = len(light) >= _FEWEST_WINDOWS
     rings = np.arange(len(mean))
     if shown:
-        filled = pixels > FEW_PIXELS * pixels.max()
         ratio = light[:, 0] / np.maximum(weight[:, 0], 1e-12)
-        mean = 1 + np.interp(rings, rings[filled], _shrunk_mean(ratio - 1, weight[:, 0])[filled])
-    pixels = np.maximum(pixels, FEW_PIXELS * max(float(pixels.max()), 1.0))
+        mean = 1 + average_profile(_shrunk_mean(ratio - 1, weight[:, 0]) * pixels, pixels)
+    pixels = np.maximum(pixels, _LEAST_WEIGHT * max(float(pixels.max()), 1.0))
     falling = isotonic_regression(mean, weights=pixels, increasing=False).x
 
     def rises(radius: float) -> bool:

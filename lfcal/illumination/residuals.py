@@ -19,6 +19,7 @@ from ..images.stack import CLIPPED_LIGHT
 from ..lattice.cell import Cell
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops, sample_mask
+from ..microimage.average import ProfilePlaces
 from ..runtime.arrays import Array, Integers, Singles
 
 __all__ = [
@@ -140,19 +141,10 @@ class Residuals(NamedTuple):
     light: Array  # (q,) relative light of the map
     through: Array  # (q,) share that is not cut off
     plane: Array  # (q,) of the scene
-    ring: Integers  # (q,) sample of the profile before the pixel
-    part: Array  # (q,) how far it lies towards the next one
+    places: ProfilePlaces  # (q,) on the profile
     # mean error outside the cutting disc, where there is stray light alone; NaN where there is no
     # such place
     stray: float
-
-    def spread(self, values: Array, rings: int) -> Array:
-        """Sums (rings,) of values (q,) over the profile.
-
-        Each pixel is shared between the two samples beside it.
-        """
-        sums: Array = np.bincount(self.ring, values * (1 - self.part), rings)
-        return sums + np.bincount(self.ring + 1, values * self.part, rings)
 
 
 def collect_residuals(sample: Sample, gain: GainMap, scene: bool, largest: Array) -> Residuals:
@@ -171,12 +163,10 @@ def collect_residuals(sample: Sample, gain: GainMap, scene: bool, largest: Array
     stray = math.nan
     if behind.any():
         stray = float(np.average(error[behind], weights=weight[behind]))
-    place = stretched / gain.step
-    ring = np.minimum(place.astype(np.int64), len(gain.profile) - 2)
-    kept = np.flatnonzero((weight > 0) & (np.abs(error) <= largest[ring]))
-    part = np.minimum(place - ring, 1.0)
+    places = ProfilePlaces.of(stretched / gain.step, len(gain.profile))
+    kept = np.flatnonzero((weight > 0) & (np.abs(error) <= largest[places.before]))
     chosen = (error[kept], weight[kept], light[kept], through[kept], plane[kept])
-    return Residuals(sample.select(kept), *chosen, ring[kept], part[kept], stray)
+    return Residuals(sample.select(kept), *chosen, places.select(kept), stray)
 
 
 def _fit_lens_lights(

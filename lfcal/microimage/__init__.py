@@ -1,1 +1,1 @@
-"""Properties of single microimages that many rooms ask for: whether their lenses are lit."""
+"""Properties of microimages that many rooms ask for: lit lenses, profiles over many pixels."""

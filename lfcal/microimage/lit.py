@@ -18,7 +18,7 @@ __all__ = ["STRAY", "UNLIT", "bright_light", "find_lit_lenses", "is_lit"]
 STRAY = 0.16
 #: Light over that of bright lenses, below which a lens has none. The corners of flats with strong
 #: vignetting have 0.05.
-UNLIT = 0.03
+UNLIT = 0.04
 # Quantile of the light of lenses that is bright, without being dust or a hot pixel.
 _BRIGHT = 0.95
 

@@ -18,6 +18,7 @@ from ..lattice.cell import Cell
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops, sample_mask
 from ..lattice.robust_fit import SIGNIFICANT
+from ..microimage.average import average_profile, estimate_variance
 from ..microimage.lit import UNLIT, find_lit_lenses, is_lit
 from ..runtime.arrays import ENOUGH_PIXELS, Booleans, Floats, Integers, Singles, evenly
 from ..runtime.errors import CalibrationError
@@ -177,11 +178,7 @@ class Microimages:
         profile = self.profile + np.linalg.solve(settled + stiff, force - stiff @ self.profile)
         # Gains and profile share one scale.
         profile *= np.linalg.norm(self.profile) / np.linalg.norm(profile)
-        near = np.ones(5)
-        overall = 10 * squares.sum() / max(number.sum(), 1)
-        variance = (np.convolve(squares, near, "same") + overall) / (
-            np.convolve(number, near, "same") + 10
-        )
+        variance = estimate_variance(squares, number)
         floor = 1e-6 * float(np.var(profile)) + 1e-12
         return replace(
             self,
@@ -311,8 +308,7 @@ def _mean_profile(lenses: Microimages) -> Floats:
     ring = np.rint(np.hypot(x, y)[inside] / _RING_STEP).astype(int)
     light = (some.light / some.gain[:, None, None])[inside]
     total, number = (np.bincount(ring, of, len(lenses.profile)) for of in (light, None))
-    seen = np.flatnonzero(number)
-    return np.interp(np.arange(len(number)), seen, total[seen] / number[seen])
+    return average_profile(total, number)
 
 
 def _fit_shade(slopes: Floats, weight: Floats, centres: Floats, lattice: Lattice) -> Floats:

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..lattice.lattice import Lattice
 from ..lattice.robust_fit import TUKEY_CUTOFF
+from ..microimage.average import ProfilePlaces, average_profile, estimate_variance
 from ..runtime.arrays import Floats
 from .kernel import Sums
 from .microimages import Microimages
@@ -111,8 +112,9 @@ class SquareMicroimages(Microimages):
         band = np.zeros((2, size, 4))
         for k in (0, 1):
             other = lights[1 - k]
-            band[k, :, 0] = self._spread(far[k], weight * other**2)
-            band[k, :, 1] = self._spread(far[k], weight * other * residual)
+            places = self._places(far[k])
+            band[k, :, 0] = places.add(weight * other**2, size)
+            band[k, :, 1] = places.add(weight * other * residual, size)
             band[k, :, 2] = np.bincount(outer, used * residual**2, size)
             band[k, :, 3] = np.bincount(outer, used, size)
         return Sums(normal, right, band)
@@ -130,45 +132,27 @@ class SquareMicroimages(Microimages):
             force = band[:, 1] / 2 - stiff @ profile
             profile += np.linalg.solve(settled + stiff, force)
             profile *= 1 / profile[: size // 2].mean()
-        squares, number = sums.band[0, :, 2:].T
-        near = np.ones(5)
-        overall = 10 * squares.sum() / max(number.sum(), 1)
-        variance = (np.convolve(squares, near, "same") + overall) / (
-            np.convolve(number, near, "same") + 10
-        )
+        variance = estimate_variance(*sums.band[0, :, 2:].T)
         return replace(self, edges=edges, ring_weight=1 / np.maximum(variance, 1e-9))
 
-    def _spread(self, far: Floats, values: Floats) -> Floats:
-        """(r,) sums of values of pixels, shared between the samples before and after each."""
-        place = np.abs(far) / _STEP
-        ring = np.minimum(place.astype(np.int64), self.edges.shape[1] - 2)
-        part = place - ring
-        size = self.edges.shape[1]
-        before = np.bincount(ring, values * (1 - part), size)
-        return np.asarray(before + np.bincount(ring + 1, values * part, size))
+    def _places(self, far: Floats) -> ProfilePlaces:
+        return ProfilePlaces.of(np.abs(far) / _STEP, self.edges.shape[1])
 
     def _light(self, axis: int, far: Floats) -> tuple[Floats, Floats]:
         """Light of one profile at signed distances, and its slope [1/px]."""
-        place = np.abs(far) / _STEP
-        ring = np.minimum(place.astype(np.int64), self.edges.shape[1] - 2)
-        before = self.edges[axis, ring]
-        rise = self.edges[axis, ring + 1] - before
-        slope = np.gradient(self.edges[axis], _STEP)
-        part = place - ring
-        along = slope[ring] * (1 - part) + slope[ring + 1] * part
-        return before + rise * part, along * np.sign(far)
+        places = self._places(far)
+        slope = places.read(np.gradient(self.edges[axis], _STEP))
+        return places.read(self.edges[axis]), slope * np.sign(far)
 
     def _mean_edges(self) -> Floats:
         """(2, r) mean light over the distances from the middle lines, near the other line."""
         far = np.abs(self.distances())
         light = self.relative()
         edges = np.ones_like(self.edges)
-        at = np.arange(edges.shape[1])
+        rings = edges.shape[1]
         for k in (0, 1):
             near = (far[1 - k] < _MIDDLE * self.widths[1 - k]) & (far[k] <= self.widths[k] / 2)
             ring = np.rint(far[k][near] / _STEP).astype(np.int64)
-            number = np.bincount(ring, minlength=len(at))
-            seen = number > 0
-            total = np.bincount(ring, light[near], len(at))
-            edges[k] = np.interp(at, at[seen], total[seen] / number[seen])
-        return edges / edges[:, : len(at) // 2].mean(1, keepdims=True)
+            number = np.bincount(ring, minlength=rings)
+            edges[k] = average_profile(np.bincount(ring, light[near], rings), number)
+        return edges / edges[:, : rings // 2].mean(1, keepdims=True)

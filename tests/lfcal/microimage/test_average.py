@@ -1,0 +1,39 @@
+"""Profiles of microimages from sums over pixels."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lfcal.microimage.average import ProfilePlaces, average_profile, estimate_variance
+
+
+def test_reading_a_profile_is_the_adjoint_of_adding_to_it():
+    rng = np.random.default_rng(0)
+    places = ProfilePlaces.of(rng.uniform(0, 12, 300), 10)
+    values = rng.normal(size=300)
+    profile = rng.normal(size=10)
+    assert abs(places.add(values, 10) @ profile - places.read(profile) @ values) < 1e-9
+
+
+def test_places_beyond_a_profile_have_its_last_value():
+    places = ProfilePlaces.of(np.array([0.0, 2.25, 40.0]), 4)
+    np.testing.assert_allclose(places.read(np.array([1.0, 2, 4, 8])), [1, 5, 8])
+
+
+def test_several_profiles_are_added_side_by_side():
+    places = ProfilePlaces.of(np.array([1.5, 0.0]), 3)
+    sums = places.add(np.array([2.0, 5.0]), 6, np.array([0, 3]))
+    np.testing.assert_array_equal(sums, [0, 1, 1, 5, 0, 0])
+
+
+def test_samples_with_hardly_a_pixel_are_interpolated():
+    number = np.array([1000.0, 0, 0.5, 1000])
+    profile = average_profile(np.array([4000.0, 0, 50, 1000]), number)
+    np.testing.assert_allclose(profile, [4, 3, 2, 1])
+
+
+def test_variance_of_samples_is_that_of_their_pixels():
+    number = np.full(40, 500.0)
+    truth = np.repeat([1.0, 4.0], 20)
+    found = estimate_variance(truth * number, number)
+    np.testing.assert_allclose(found[[10, 30]], [1, 4], rtol=0.02)
