@@ -77,7 +77,7 @@ def refocus(capture: CaptureInput, given: Any) -> None:
     pixels, calibration = capture.calibrate(pixels)
     depth = None
     # Without --scale the picture lies on the grid of `lfrender render`, which the depth decides.
-    if at or stack or given.scale is None:
+    if at or stack or capture.depth_file or given.scale is None:
         depth = capture.analyze(pixels, calibration)
     with report.stage("render"), option_errors():
         from .. import focal_stack

@@ -45,8 +45,7 @@ class DepthBlur:
         share = self._undersampled(focus)[..., None]
         if not share.any():
             return picture
-        mended: NDArray[np.float32] = picture + share * (self.blurred(focus) - picture)
-        return mended
+        return np.asarray(picture + share * (self.blurred(focus) - picture), np.float32)
 
     def _undersampled(self, focus: float) -> NDArray[np.float32]:
         """(h, w) 0 where images of neighbouring lenses coincide, 1 where they are far apart."""
@@ -75,8 +74,7 @@ class DepthBlur:
             layer = cv2.filter2D(layer, -1, disc, borderType=cv2.BORDER_REFLECT_101)
             drawn = drawn * (1 - layer[..., -1:]) + layer
         # What near places hide has no colour, and what is left counts in full.
-        picture: NDArray[np.float32] = drawn[..., :-1] / np.maximum(drawn[..., -1:], 1e-6)
-        return picture
+        return np.asarray(drawn[..., :-1] / np.maximum(drawn[..., -1:], 1e-6), np.float32)
 
 
 def _disc(radius: float) -> NDArray[np.float32]:
