@@ -22,6 +22,7 @@ from ..image_formats import IMAGE_FORMATS, identify_format
 __all__ = [
     "INPUTS",
     "BalanceValue",
+    "Decorator",
     "ExposureValue",
     "InputPath",
     "OutputPath",
@@ -39,6 +40,8 @@ _STDIN = "lfcal.stdin"
 _STDOUT = "lfcal.stdout"
 _PIPES = "lfrender-pipe-"
 
+#: What gives a command a parameter.
+Decorator = Callable[[Any], Any]
 _Parameter = click.Parameter | None
 _Context = click.Context | None
 
@@ -173,7 +176,7 @@ class OutputPath(click.Path):
         return path
 
 
-def several_inputs(name: str, metavar: str) -> Callable[[Any], Any]:
+def several_inputs(name: str, metavar: str) -> Decorator:
     """An argument that is any number of files, folders and patterns."""
     return click.argument(
         name, metavar=metavar, nargs=-1, required=True, callback=_input_paths, type=click.Path()

@@ -19,7 +19,7 @@ import cloup
 from ..errors import LightFieldError
 from ..output_file import check_output, refuse_inputs
 from .interrupts import INTERRUPTED, handle_interrupts, leave_if_interrupted
-from .parameters import INPUTS, InputPath, OutputPath, Pair, name_pipes
+from .parameters import INPUTS, Decorator, InputPath, OutputPath, Pair, name_pipes
 from .report import Report, echo, echo_json
 from .result import VERSION, Failure
 
@@ -228,9 +228,7 @@ def command(*examples: str) -> Callable[[Any], cloup.Command]:
     return cloup.command(cls=_Command, epilog=f"\b\nExamples:\n{lines}")
 
 
-def option(
-    names: str, kind: Any, text: str, metavar: str | None = None, **more: Any
-) -> Callable[[Any], Any]:
+def option(names: str, kind: Any, text: str, metavar: str | None = None, **more: Any) -> Decorator:
     """`click.option` with all its names, the type of its value (bool: a flag), and its help."""
     more |= {"is_flag": True} if kind is bool else {"type": kind}
     return click.option(*names.split(), help=text, metavar=metavar, **more)
@@ -243,7 +241,7 @@ def output_option(
     replaces: str = "",
     suffixes: Collection[str] = (),
     **more: Any,
-) -> Callable[[Any], Any]:
+) -> Decorator:
     """The option `--output`; `piped` is the format on stdout with `-`, empty if refused.
 
     The output has one of the `suffixes`, if they are given, and may replace the input `replaces`.
@@ -273,14 +271,12 @@ READING: dict[str, tuple[Any, ...]] = {
 }
 
 
-def with_options(*options: Callable[[Any], Any]) -> Callable[[Any], Any]:
+def with_options(*options: Decorator) -> Decorator:
     """Give a command options; its help shows them in this order."""
     return lambda function: reduce(lambda given, add: add(given), reversed(options), function)
 
 
-def report_options(
-    result: Callable[..., Any],
-) -> Callable[[Callable[[Report, Any], Any]], Callable[..., Any]]:
+def report_options(result: Callable[..., Any]) -> Decorator:
     """Give a command `--json`, `--quiet` and `--verbose`; `--json` prints a `result`.
 
     Its function is called with a `Report` and the values of its other options.
