@@ -22,6 +22,7 @@ __all__ = [
     "claim",
     "discard_unfinished",
     "make_folder",
+    "output_errors",
     "refuse_inputs",
     "refuse_leftovers",
 ]
@@ -61,7 +62,7 @@ def _temporary(target: Path) -> Iterator[Path]:
     temporary = target.with_name(f".{target.stem}.{secrets.token_hex(4)}{target.suffix}")
     _UNFINISHED.add(temporary)
     try:
-        with _output_errors(target, "cannot be written"):
+        with output_errors(target):
             temporary.open("xb").close()
             yield temporary
     finally:
@@ -72,7 +73,7 @@ def _temporary(target: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def _output_errors(target: AnyPath, what: str) -> Iterator[None]:
+def output_errors(target: AnyPath, what: str = "cannot be written") -> Iterator[None]:
     """Turn an OSError into an OutputError: the output cannot be written or made."""
     try:
         yield
@@ -95,7 +96,7 @@ def claim(output: AnyPath) -> Iterator[None]:
         return
     lock = target.with_name(f".{target.name}.lock")
     with ExitStack() as stack:
-        with _output_errors(output, "cannot be written"):
+        with output_errors(output):
             try:
                 stack.enter_context(file_lock(lock))
             except BlockingIOError as error:
@@ -203,6 +204,6 @@ def make_folder(path: AnyPath, parents: bool = False) -> Path:
     OutputError if that fails.
     """
     target = check_folder(path, parents)
-    with _output_errors(target, "cannot be made"):
+    with output_errors(target, "cannot be made"):
         target.mkdir(parents=parents, exist_ok=True)
     return target

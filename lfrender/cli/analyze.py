@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from lfcal.runtime.output_file import check_output
-
 from ..runtime.types import Entries
 from .inputs import CaptureInput, is_large
+from .option_table import DEPTH_FORMS
 from .options import capture_command, connect_cluster, option_errors, refuse_together
 from .printed.results import AnalyzeResult
 
@@ -25,16 +24,6 @@ _CLUSTER = ("workers", "scheduler")
 # Forms of flats that are analysed as a whole.
 _WHOLE = ("ply", "mesh")
 
-# Suffixes of the forms of depth beside .npz, by the option for each; an output with that of several
-# is the first one.
-_FORMS = {
-    "dense": (".tif", ".tiff", ".pfm", ".exr"),
-    "picture": (".png",),
-    "uncertainty": (".png",),
-    "ply": (".ply", ".pcd"),
-    "mesh": (".glb", ".ply"),
-}
-
 
 @capture_command(
     AnalyzeResult,
@@ -43,7 +32,13 @@ _FORMS = {
     "lfrender analyze flat.png -c camera.json -o depth.npz --roi 400 300 900 700",
     "lfrender analyze flat.png -o cloud.ply",
     "lfrender analyze flat.png -o scene.glb",
-    output=("DEPTH.npz", "Depth map to write; or .tif, .png, .ply, .glb: see below.", ".npz"),
+    output=(
+        "DEPTH.npz",
+        "Depth map to write; or .tif, .png, .ply, .glb: see below.",
+        ".npz",
+        "",
+        {".npz"}.union(*DEPTH_FORMS.values()),
+    ),
     refused={"depth_file": "the depth is what this command finds"},
     own={
         "Further forms of the depth": "dense unfilled picture uncertainty ply mesh",
@@ -122,17 +117,12 @@ def analyze(capture: CaptureInput, given: Any) -> None:
 
 def _choose_forms(given: Any) -> dict[str, Path | None]:
     """The files of the further forms; that of the output is the first with its suffix."""
-    output = given.output
-    check_output(output, {".npz"}.union(*_FORMS.values()))
-    forms: dict[str, Path | None] = {name: getattr(given, name) for name in _FORMS}
-    for name, path in forms.items():
-        if path is not None:
-            check_output(path, _FORMS[name])
-    suffix = output.suffix.lower()
-    for name in (name for name, suffixes in _FORMS.items() if suffix in suffixes):
+    forms: dict[str, Path | None] = {name: getattr(given, name) for name in DEPTH_FORMS}
+    suffix = given.output.suffix.lower()
+    for name in (name for name, suffixes in DEPTH_FORMS.items() if suffix in suffixes):
         if forms[name]:
             raise click.UsageError(f"--output and --{name} exclude each other")
-        forms[name] = output
+        forms[name] = given.output
         break
     return forms
 

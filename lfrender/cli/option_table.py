@@ -12,7 +12,17 @@ from lfcal.runtime.image_formats import MOSAICS
 from ..runtime.choices import Detail, PoseFormat, Preset, Tone
 from ..runtime.types import Entries
 
-__all__ = ["TABLE"]
+__all__ = ["DEPTH_FORMS", "TABLE"]
+
+#: Suffixes of the forms of depth beside .npz, by the option for each; an output with that of
+#: several is the first one.
+DEPTH_FORMS = {
+    "dense": (".tif", ".tiff", ".pfm", ".exr"),
+    "picture": (".png",),
+    "uncertainty": (".png",),
+    "ply": (".ply", ".pcd"),
+    "mesh": (".glb", ".ply"),
+}
 
 _OUTPUT = cl.OutputPath()
 _GRID = cl.Pair("ROWSxCOLUMNS", "5x5")
@@ -238,7 +248,7 @@ TABLE = {
     ),
     "dense": _row(
         "--dense",
-        _OUTPUT,
+        cl.OutputPath(suffixes=DEPTH_FORMS["dense"]),
         "Patch size [px] of every pixel of the picture, its validity and standard error (pages, "
         "or channels).",
         "DEPTH.tif|.pfm|.exr",
@@ -249,23 +259,26 @@ TABLE = {
         "Write NaN to --dense where no lens has a depth, not that of places around.",
     ),
     "picture": _row(
-        "--picture", _OUTPUT, "Depth in colours: far is dark, near is light.", "DEPTH.png"
+        "--picture",
+        cl.OutputPath(suffixes=DEPTH_FORMS["picture"]),
+        "Depth in colours: far is dark, near is light.",
+        "DEPTH.png",
     ),
     "uncertainty": _row(
         "--uncertainty",
-        _OUTPUT,
+        cl.OutputPath(suffixes=DEPTH_FORMS["uncertainty"]),
         "Standard error of the patch size in colours: sure is dark, unsure is light.",
         "ERROR.png",
     ),
     "ply": _row(
         "--ply",
-        _OUTPUT,
+        cl.OutputPath(suffixes=DEPTH_FORMS["ply"]),
         "Point cloud: X/D, Y/D, virtual depth D/s, colour.",
         "CLOUD.ply|.pcd",
     ),
     "mesh": _row(
         "--mesh",
-        _OUTPUT,
+        cl.OutputPath(suffixes=DEPTH_FORMS["mesh"]),
         "The scene as textured triangles (needs trimesh).",
         "MESH.glb|.ply",
     ),

@@ -52,7 +52,7 @@ def declare(name: str, inputs: str = "FLAT", hidden: bool = False) -> Callable[[
 def capture_command(
     result: type[cl.Result],
     *examples: str,
-    output: tuple[str, ...] = (),
+    output: tuple[Any, ...] = (),
     own: Mapping[str, str] | None = None,
     refused: Mapping[str, str] | None = None,
     exclusive: Iterable[str] = (),

@@ -127,7 +127,7 @@ def _loader(capture: CaptureInput, flats: list[Path]) -> Callable[[int], Any]:
     ReportResult,
     "lfrender report flat.png -o report.html",
     "lfrender report flat.png -c camera.json -o report.html --preset fast",
-    output=("REPORT.html", "Page to write.", ".html"),
+    output=("REPORT.html", "Page to write.", ".html", "", (".html", ".htm")),
     refused={"roi": "the report is about the whole flat"},
 )
 def report(capture: CaptureInput, given: Any) -> None:
@@ -140,7 +140,6 @@ def report(capture: CaptureInput, given: Any) -> None:
 
     progress = capture.report
     output = given.output
-    check_output(output, {".html", ".htm"})
     pixels, calibration, depth = capture.load()
     with progress.stage("render"):
         pictures = draw_pictures(pixels, calibration, depth)

@@ -19,9 +19,9 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from lfcal import LightFieldError, OutputError
+from lfcal import LightFieldError
 from lfcal.runtime.arrays import Array, Floats
-from lfcal.runtime.output_file import check_output
+from lfcal.runtime.output_file import check_output, output_errors
 from lfcal.runtime.packages import check_package
 
 from ..data.dense_depth import write_exr
@@ -389,13 +389,11 @@ def write_ome_zarr(
     chunks = tuple(min(length, _CHUNKS[name]) for name, length in sides)
     made = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
     try:
-        with zarr.config.set({"array.write_empty_chunks": True}):
+        with output_errors(path), zarr.config.set({"array.write_empty_chunks": True}):
             group = zarr.create_group(str(made), attributes=attributes, zarr_format=3)
             data = np.ascontiguousarray(array)
             group.create_array("0", data=data, chunks=chunks, dimension_names=list(axes))
-        made.replace(path)
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written ({error.strerror or error})") from error
+            made.replace(path)
     finally:
         shutil.rmtree(made, ignore_errors=True)
 

@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from lfcal import OutputError
-from lfcal.runtime.output_file import atomic_write
+from lfcal.runtime.output_file import atomic_write, output_errors
 
 from ..runtime.types import Entries
 
@@ -46,12 +45,8 @@ class Checkpoint:
 
     def open(self) -> Path:
         """The folder, made where it does not exist."""
-        try:
+        with output_errors(self._output):
             self.folder.mkdir(exist_ok=True)
-        except OSError as error:
-            raise OutputError(
-                f"{self._output}: cannot be written ({error.strerror or error})"
-            ) from error
         return self.folder
 
     def keep(self, value: Any = True) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from lfcal import OutputError
 from lfcal.runtime.arrays import Array
-from lfcal.runtime.output_file import atomic_write
+from lfcal.runtime.output_file import atomic_write, output_errors
 
 from ..runtime.types import Size
 from .formats import TIFF_TILE, EmbeddedMetadata, tiff_tags, tiff_tiles
@@ -22,10 +22,8 @@ __all__ = ["TileWriter", "move_into_place"]
 
 def move_into_place(made: Path, output: Path) -> None:
     """Move a finished file or folder to its place on the same disk."""
-    try:
+    with output_errors(output):
         os.replace(made, output)
-    except OSError as error:
-        raise OutputError(f"{output}: cannot be written ({error.strerror or error})") from error
 
 
 class TileWriter:
