@@ -36,8 +36,10 @@ __all__ = ["write_report"]
 
 # Ends of the scale of M of a depth map without depth.
 _LIMITS_OF_NONE = (1.0, 10.0)
-# Number of bars of the histogram.
+# Number of bars of the histogram, and its size [inch]: a phone shows it at this width, with text
+# that can be read.
 _BINS = 40
+_CHART = (4.4, 2.4)
 # Largest width of the maps and of the flat [px], twice that of their column on the page; largest
 # number of pixels per pitch of the maps: each lens has one colour.
 _WIDTH = 1120
@@ -46,12 +48,6 @@ _MAP_SCALE = 12.0
 _ROOM = 14_500_000
 # Side of the crop of the flat, and of the window in which detail is looked for [pitches].
 _CROP = 7
-_SHORTCUTS = {
-    "blank": "lenses without texture, which were not matched",
-    "ranges": "shifts that occur in no lens of a sample, which were not tried",
-    "still": "lenses that have not changed since the frame before",
-    "roi": "lenses outside the chosen part",
-}
 _SOURCES = {
     "white": "a white image",
     "scene": "the capture itself",
@@ -148,7 +144,6 @@ def write_report(
         seconds=seconds or {},
         cards=_figures(calibration, depth, pictures, seconds or {}),
         turned=float(np.degrees(np.arctan2(*calibration.lattice.basis[0, ::-1]))),
-        saved={_SHORTCUTS.get(name, name): share for name, share in depth.saved.items()},
     )
     with atomic_write(path) as temporary:
         temporary.write_text(page, encoding="utf-8")
@@ -187,7 +182,7 @@ def _histogram(depth: DepthMap) -> Any:
     low, high = _magnification_limits(depth)
     step = (high / low) ** (1 / _BINS)
     edges = np.geomspace(low / step, high * step, _BINS + 3)
-    figure = Figure((9, 2.8), facecolor="none", layout="constrained")
+    figure = Figure(_CHART, facecolor="none", layout="constrained")
     axes = figure.subplots()
     for code in (TELESCOPIC, BINOCULAR):
         found = np.clip(depth.magnification[depth.mode == code], edges[0], edges[-1])
