@@ -10,6 +10,7 @@ from __future__ import annotations
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +19,8 @@ import lfrender
 from lfrender.runtime.choices import Preset
 
 
-def _row(path: Path, preset: Preset) -> str:
+def measure(path: Path, preset: Preset) -> dict[str, Any]:
+    """Shares of the modes of textured lenses, and the seconds of each stage."""
     flat = lfcal.read_flat(path)
     calibration = lfcal.calibrate(flat)
     lfrender.render(flat, calibration, lfrender.analyze(flat, calibration, preset))
@@ -32,14 +34,29 @@ def _row(path: Path, preset: Preset) -> str:
     wall, cpu = np.diff(times, axis=0).T
     textured = depth.confidence > 0
     mode = np.sign(np.nanmedian(depth.patch_size))
+    return {
+        "name": path.stem,
+        "pitch": calibration.lattice.pitch,
+        "confidence": calibration.confidence,
+        "mode": float(mode),
+        "right": float((depth.mode == mode)[textured].mean()),
+        "wrong": float((depth.mode == -mode)[textured].mean()),
+        "textured": int(textured.sum()),
+        "size": picture.image.shape[1::-1],
+        "wall": wall.tolist(),
+        "cpu": cpu.tolist(),
+    }
+
+
+def _row(path: Path, preset: Preset) -> str:
+    found = measure(path, preset)
+    stages = zip(("calibrate", "analyze", "render"), found["wall"], found["cpu"], strict=True)
+    times = " ".join(f"{name} {wall:.2f} ({cpu:.2f})" for name, wall, cpu in stages)
     return (
-        f"{path.stem:20} {preset:9} pitch {calibration.lattice.pitch:.3f} px, confidence "
-        f"{calibration.confidence:.3f}"
-        f"  mode {mode:+.0f}: right {(depth.mode == mode)[textured].mean():.4f}"
-        f" wrong {(depth.mode == -mode)[textured].mean():.4f} of {textured.sum()} textured lenses"
-        f"  picture {picture.image.shape[1]} x {picture.image.shape[0]}"
-        f"  calibrate {wall[0]:.2f} ({cpu[0]:.2f}) analyze {wall[1]:.2f} ({cpu[1]:.2f})"
-        f" render {wall[2]:.2f} ({cpu[2]:.2f}) s wall (CPU)"
+        f"{found['name']:20} {preset:9} pitch {found['pitch']:.3f} px, confidence "
+        f"{found['confidence']:.3f}  mode {found['mode']:+.0f}: right {found['right']:.4f} wrong "
+        f"{found['wrong']:.4f} of {found['textured']} textured lenses  picture "
+        f"{found['size'][0]} x {found['size'][1]}  {times} s wall (CPU)"
     )
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 import sys
 import time
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,7 +52,8 @@ def merit(picture: lfrender.Rendering, folder: Path, pitch: float) -> PictureQua
     )
 
 
-def _row(folder: Path, preset: Preset) -> str:
+def measure(folder: Path, preset: Preset) -> dict[str, Any]:
+    """Errors of centres, modes, patch sizes and pictures, and seconds of depth and picture."""
     flat = lfcal.read_flat(folder / "flat.png")
     calibration = lfcal.calibrate(flat)
     lfrender.render(flat, calibration, lfrender.analyze(flat, calibration, preset))
@@ -81,15 +82,33 @@ def _row(folder: Path, preset: Preset) -> str:
         for k in SCALES
     ]
     psnr.append(merit(picture, folder, pitch).psnr)
+    return {
+        "name": folder.name,
+        "centres": float(np.sqrt((distance[known] ** 2).mean())),
+        "modes": float((depth.mode == mode)[single].mean()),
+        "all_modes": float((depth.mode == mode)[every].mean()),
+        "median": float(np.nanmedian(error)),
+        "most": float(np.nanpercentile(error, 95)),
+        "within": float(within),
+        "claims": claims,
+        "edges": float(edges),
+        "psnr": psnr,
+        "scale": picture.scale,
+        "seconds": (analysed - start, drawn - analysed),
+    }
+
+
+def _row(folder: Path, preset: Preset) -> str:
+    found = measure(folder, preset)
+    psnr = " ".join(f"{value:.2f}" for value in found["psnr"])
     return (
-        f"{folder.name:10} {preset:9} centres {np.sqrt((distance[known] ** 2).mean()):.4f} px"
-        f"  modes {(depth.mode == mode)[single].mean():.4f} / all "
-        f"{(depth.mode == mode)[every].mean():.4f}"
-        f"  s median {np.nanmedian(error):.3f} 95 % {np.nanpercentile(error, 95):.3f} px"
-        f" within its error {within:.2f}  blank claims {claims}  edges {edges:.3f}"
-        f"  PSNR {psnr[0]:.2f} {psnr[1]:.2f} {psnr[2]:.2f} dB (P = 0.15 D, 0.3 D, "
-        f"{picture.scale:.1f})"
-        f"  {analysed - start:.2f} + {drawn - analysed:.2f} s"
+        f"{found['name']:10} {preset:9} centres {found['centres']:.4f} px"
+        f"  modes {found['modes']:.4f} / all {found['all_modes']:.4f}"
+        f"  s median {found['median']:.3f} 95 % {found['most']:.3f} px"
+        f" within its error {found['within']:.2f}  blank claims {found['claims']}"
+        f"  edges {found['edges']:.3f}"
+        f"  PSNR {psnr} dB (P = 0.15 D, 0.3 D, {found['scale']:.1f})"
+        f"  {found['seconds'][0]:.2f} + {found['seconds'][1]:.2f} s"
     )
 
 

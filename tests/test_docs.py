@@ -128,6 +128,18 @@ def test_no_page_of_the_site_names_a_revision_a_seed_a_load_or_an_outside_path(k
     assert found == []
 
 
+def test_figures_of_quality_and_time_stand_on_the_page_of_results_alone():
+    pages = [page for page in _PAGES if page.parent != ROOT and page.name != "results.md"]
+    found = [
+        f"{page.name}: {match[0]}"
+        for page in [*pages, ROOT / "README.md"]
+        for match in re.finditer(
+            r"\d dB\b|\d processor seconds|[\d.]+ s a frame", page.read_text(encoding="utf-8")
+        )
+    ]
+    assert found == []
+
+
 def test_the_pages_written_by_hand_have_at_most_26000_words():
     pages = [page for page in _PAGES if page.parent != ROOT and page.suffix != ".toml"]
     words = sum(len(page.read_text(encoding="utf-8").split()) for page in pages)
