@@ -233,9 +233,10 @@ def average_vignetting(gain: GainMap, lattice: Lattice) -> tuple[Vignetting, flo
     if not relative.max() > 0:
         raise CalibrationError("no light is left in the average microimage; give a white image")
     radii = np.arange(rings) * gain.step
-    relative = np.maximum(relative / relative[radii <= CORES[0] * limit].max(), 0)
-    radius = limit
+    relative = np.clip(relative / relative.max(), 0, 1)
     # In clipped flats only the rims of bright microimages are measured.
+    middle = max(float(relative[radii <= CORES[0] * limit].max()), 0.5)
+    radius = limit
     dark = np.flatnonzero(
         (relative < 0.5) & (radii > max(_INNER * limit, float(radii[relative.argmax()])))
     )
@@ -249,4 +250,4 @@ def average_vignetting(gain: GainMap, lattice: Lattice) -> tuple[Vignetting, flo
                 radii[k - 1] + np.clip((before - 0.5) / max(before - after, 1e-9), 0, 1) * gain.step
             ),
         )
-    return Vignetting(relative, gain.step), radius
+    return Vignetting(relative / middle, gain.step), radius

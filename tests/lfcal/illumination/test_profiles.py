@@ -14,6 +14,7 @@ from lfcal.gain.rows import RegionGain
 from lfcal.illumination.profiles import (
     ProfilePixels,
     SceneProfiles,
+    average_vignetting,
     fit_scene_profiles,
     fit_type_profiles,
     order_by_rims,
@@ -135,3 +136,11 @@ def test_types_of_white_images_are_numbered_from_soft_rims_to_hard_ones():
         and np.array_equal(types.cell, _TYPES.cell)
         and np.array_equal(found.type_light, gain.type_light)
     )
+
+
+def test_vignetting_of_lenses_that_are_only_seen_at_their_rims_is_finite():
+    radii = np.arange(60) * _STEP
+    gain = GainMap.round(np.where(radii < 6, 0.0, np.clip(9 - radii, 0, 1)), _STEP, 9)
+    vignetting, radius = average_vignetting(gain, _LATTICE)
+    assert np.isfinite(vignetting.profile).all() and vignetting.profile.max() == 2
+    assert abs(radius - 8.5) < 0.1
