@@ -159,11 +159,16 @@ class _Tile(NamedTuple):
 # The equations are too small for more threads to pay off: they would wait for each other.
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def measure_microimages(
-    flat: NDArray[Any], camera: Calibration, most: int = 5, squares: float = np.inf
+    flat: NDArray[Any],
+    camera: Calibration,
+    most: int = 5,
+    squares: float = np.inf,
+    widest: float = np.inf,
 ) -> MicroimageField | None:
     """Size and sharpness of the microimages of a white image, or None without visible discs.
 
-    At most `most` tiles each way are measured, each on about `squares` squares of its cell.
+    At most `most` tiles each way are measured, each on about `squares` squares of its cell, and
+    none if the blur in the middle of the flat is wider than `widest` [px].
     Values of 8 bits of which nobody knows whether they are linear are taken as explains the
     microimages better, or as both where that does not tell.
     """
@@ -185,7 +190,7 @@ def measure_microimages(
     starts = [start for start in starts if len(model.cut) or start[2] <= 2 * least]
     t = model.count
     if least > _MOST_MISFIT or any(
-        (start[t : 2 * t] > start[:t]).any() for _, start, _, _ in starts
+        (start[t : 2 * t] > np.minimum(start[:t], widest / 2)).any() for _, start, _, _ in starts
     ):
         # No discs, or spots that are all blur.
         return None

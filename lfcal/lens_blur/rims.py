@@ -37,8 +37,11 @@ def measure_rims(flat: NDArray[Any], camera: Calibration) -> LensBlur | None:
     The error of the aperture is a pitch, so that no other depth has a disc that is sure. Of a
     scene, rims are measured on the mean of many microimages.
     """
-    squares = np.inf if camera.source == "white" else _SCENE_SQUARES
-    field = measure_microimages(flat, camera, _TILES, squares)
+    if camera.source == "white":
+        field = measure_microimages(flat, camera, _TILES)
+    else:
+        widest = _WIDEST * camera.lattice.pitch
+        field = measure_microimages(flat, camera, _TILES, _SCENE_SQUARES, widest)
     if field is None:
         return None
     aperture = _APERTURE * camera.lattice.pitch
@@ -46,8 +49,6 @@ def measure_rims(flat: NDArray[Any], camera: Calibration) -> LensBlur | None:
     errors = np.array([[blur.error] for blur in field.blur])
     if camera.source != "white":
         errors = np.hypot(errors, _SCENE_FAULT * discs)
-        if discs.max() > _WIDEST * camera.lattice.pitch:
-            return None
     if not np.isfinite(errors).all():
         return None
     focus = discs[:, 0] / aperture
