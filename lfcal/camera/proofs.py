@@ -139,9 +139,15 @@ def _is_disc(figures: LatticeFigures) -> float:
 
 
 def edges(figures: LatticeFigures) -> float:
-    """0 for waves, cloth and boards, whose light and dark places have one shape, else 1."""
-    cloth = _HARDLY_INVERTED(-figures.inverted) * (1 - _FINER(figures.fine))
-    return _FINE(figures.fine) * (1 - _INVERTED(-figures.inverted)) * (1 - cloth)
+    """0 for waves, cloth and boards, whose light and dark places have one shape, else 1.
+
+    Small or blurred lenses of a white image have hardly finer detail than waves, but circles on
+    next to all points.
+    """
+    white = figures.white_probability * _RIMS(figures.circles)
+    fine = max(_FINE(figures.fine), white)
+    cloth = _HARDLY_INVERTED(-figures.inverted) * (1 - max(_FINER(figures.fine), white))
+    return fine * (1 - _INVERTED(-figures.inverted)) * (1 - cloth)
 
 
 def _unmatched_tones(figures: LatticeFigures) -> float:

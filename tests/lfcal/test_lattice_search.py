@@ -1,4 +1,4 @@
-"""The final fit of a candidate counts by how far it has moved."""
+"""The final fit of a candidate counts by how far it has moved; noisy white images are found."""
 
 from __future__ import annotations
 
@@ -17,3 +17,14 @@ def test_final_fit_that_runs_away_is_not_taken(shared):
     index = whole.to_index(part.centres() + np.array([left, top]))
     away = np.linalg.norm((index - np.rint(index)) @ whole.basis, axis=1)
     assert np.sqrt((away**2).mean()) < 0.05 * whole.pitch
+
+
+def test_noisy_white_image_of_small_blurred_lenses_is_found(whites):
+    basis = whites.turned(whites.HEXAGON, 10.0, 10)
+    image, origin = whites.white_image(basis, (480, 400), fill=0.65, soft=5.0, gap=0.15, noise=0.03)
+    camera = lfcal.calibrate(image)
+    index = camera.lattice.to_index(origin[None])
+    away = (index - np.rint(index)) @ camera.lattice.basis
+    assert camera.confidence > 0.9
+    assert abs(camera.lattice.pitch - 10.0) < 0.01
+    assert np.linalg.norm(away) < 0.1

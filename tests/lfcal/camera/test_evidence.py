@@ -48,9 +48,20 @@ def test_circles_of_another_place_prove_nothing(dark_discs):
 def test_cloth_and_tiles_are_no_lenses(house_white_camera):
     white = house_white_camera.evidence
     assert white.probability > 0.9
-    assert replace(white, fine=0.055, inverted=-0.91).probability < 0.5
+    # Circles lie on 0.12 of the points of cloth at most, or on those of a scene's tones.
+    assert replace(white, fine=0.055, inverted=-0.91, circles=0.12).probability < 0.5
+    assert replace(white, fine=0.04, inverted=-0.92, inside=-3.1).probability < 0.5
     tiles = replace(white, inside=-5.0, detail=0.5, between=-2.5, unlike=0.4, parallax=0.5)
     assert tiles.probability < 0.5
+
+
+def test_circles_on_a_noisy_white_image_of_blurred_lenses_outweigh_its_lack_of_detail(
+    house_white_camera,
+):
+    touching = replace(house_white_camera.evidence, fine=0.027, inverted=-0.88, circles=0.98)
+    assert touching.probability > 0.9
+    assert replace(touching, fine=0.008, inverted=-0.35).probability > 0.9
+    assert replace(touching, circles=0.5).probability < 0.5
 
 
 def test_the_words_name_the_proofs(house_white_camera):
