@@ -43,14 +43,14 @@ class ProgressDisplay:
         return self._bars is not None
 
     @contextmanager
-    def bar(self, name: str, lines: bool = False) -> Iterator[Step]:
-        """Show a bar while the work inside runs; `lines` prints a line at times if there is none.
+    def bar(self, name: str) -> Iterator[Step]:
+        """Show a bar while the work inside runs; where there is none, a line at times.
 
         Gives a function to call at each step.
         """
         bars = self._bars
         if bars is None:
-            yield _print_at_times(name) if lines and not self._quiet else _ignore
+            yield _ignore if self._quiet else _print_at_times(name)
             return
         bars.start()
         task = bars.add_task(name, total=None)
@@ -80,7 +80,7 @@ def show_progress(progress: Progress, name: str) -> Iterator[Step]:
         return
     display = ProgressDisplay()
     _compile_kernels(display)
-    with display.bar(name, lines=True) as step:
+    with display.bar(name) as step:
         yield step
 
 

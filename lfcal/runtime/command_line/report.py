@@ -93,7 +93,7 @@ class Report:
             about = "once per installation: a minute or two on two cores, more on a busy machine"
             self._echo(f"compiling kernels, {about} ...")
         start = time.perf_counter()
-        with self._display.bar("compiling kernels", lines=True) as step:
+        with self._display.bar("compiling kernels") as step:
             failed = compile_once(processes, step)
         self.compile_seconds = time.perf_counter() - start
         return failed

@@ -106,3 +106,14 @@ def test_true_shows_a_bar_on_a_terminal():
     os.close(ours)
     for words in (b"volume", b"7/10", b"70%"):
         assert words in shown
+
+
+@pytest.mark.parametrize("quiet", [False, True])
+def test_commands_print_lines_at_times_where_nothing_is_a_terminal(monkeypatch, capsys, quiet):
+    from lfcal.runtime.command_line import Report
+
+    monkeypatch.setattr(progress, "_LINE_EVERY", 0.0)
+    report = Report(quiet=quiet)
+    with report.progress("volume 1") as step:
+        step(3, 40)
+    assert capsys.readouterr().err == ("" if quiet else "volume 1: 3 of 40 after 0 s\n")
