@@ -25,6 +25,7 @@ __all__ = [
     "VECTOR_LENGTH",
     "OverlapMasks",
     "Strips",
+    "bilinear_weights",
     "copy_box",
     "extract_strips",
     "make_shift_masks",
@@ -95,6 +96,16 @@ class OverlapMasks(NamedTuple):
     # below that one.
     ends: NDArray[np.int32]
     counts: NDArray[np.int32]  # (slots,) number of ones
+
+
+@njit(inline="always")
+def bilinear_weights(fx, fy):
+    """Weights of a pixel, of that right of it, below, and right below, at a fraction of a pixel.
+
+    In single precision, which a whole number would not keep.
+    """
+    one = np.float32(1)
+    return (one - fx) * (one - fy), fx * (one - fy), (one - fx) * fy, fx * fy
 
 
 @njit(fastmath=FAST, error_model="numpy", forceinline=True)

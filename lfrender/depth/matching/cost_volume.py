@@ -16,7 +16,14 @@ from numpy.typing import NDArray
 from lfcal.runtime.kernels import FAST, kernel
 
 from ...flat.gray_flat import GrayFlat
-from ...flat.microimages import VECTOR_LENGTH, OverlapMasks, Strips, make_shift_masks, overlap_range
+from ...flat.microimages import (
+    VECTOR_LENGTH,
+    OverlapMasks,
+    Strips,
+    bilinear_weights,
+    make_shift_masks,
+    overlap_range,
+)
 from ...flat.texture import FIXED_PATTERN, LensStatistics
 
 __all__ = [
@@ -245,7 +252,7 @@ def _pair_costs(
                     )
                 if count < 4:
                     continue
-                weights = (one - fx) * (one - fy), fx * (one - fy), (one - fx) * fy, fx * fy
+                weights = bilinear_weights(fx, fy)
                 own = lens * size + first
                 there = other * size + first
                 if slot >= 0:

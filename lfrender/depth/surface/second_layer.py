@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from lfcal.runtime.kernels import FAST, kernel, square
 
 from ...flat.lens_graph import dilate_mask
-from ...flat.microimages import copy_box, row_of_disc
+from ...flat.microimages import bilinear_weights, copy_box, row_of_disc
 from ...flat.neighbours import Neighbours
 from ...flat.texture import Texture
 from ..matching.cost_volume import match_cost
@@ -60,10 +60,7 @@ def _square_differences(own, there, stride, fx, fy, out):
     one = np.uint64(1)
     down = np.uint64(stride)
     below = np.uint64(stride + 1)
-    w00 = (1 - fx) * (1 - fy)
-    w01 = fx * (1 - fy)
-    w10 = (1 - fx) * fy
-    w11 = fx * fy
+    w00, w01, w10, w11 = bilinear_weights(fx, fy)
     # The last row and column have no pixel beyond them to interpolate with.
     for k in range(np.uint64(len(own) - stride - 1)):
         e = own[k] - (
@@ -163,10 +160,7 @@ def _moments(flat, xs, ys, places, number, bx, by, radius, tx, ty, mean):
     y0 = int(np.floor(ty))
     fx = np.float32(tx - x0)
     fy = np.float32(ty - y0)
-    w00 = (1 - fx) * (1 - fy)
-    w01 = fx * (1 - fy)
-    w10 = (1 - fx) * fy
-    w11 = fx * fy
+    w00, w01, w10, w11 = bilinear_weights(fx, fy)
     sa = sb = squares = srr = count = np.float32(0.0)
     r2 = radius * radius
     qx = bx - tx
