@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import platform
-import re
 import sys
 from datetime import date
 from pathlib import Path
@@ -98,10 +97,9 @@ def tables(figures: dict[str, Any]) -> dict[str, str]:
 def page_with(figures: dict[str, Any], page: str) -> str:
     """The page with the tables of these figures in place of those between its marks."""
     for name, table in tables(figures).items():
-        marks = rf"(<!-- {name} -->\n\n).*?(<!-- end -->)"
-        page = re.sub(
-            marks, lambda found, rows=table: f"{found[1]}{rows}\n\n{found[2]}", page, flags=re.S
-        )
+        before, mark, rest = page.partition(f"<!-- {name} -->\n\n")
+        _, end, after = rest.partition("<!-- end -->")
+        page = f"{before}{mark}{table}\n\n{end}{after}"
     return page
 
 
