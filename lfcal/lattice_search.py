@@ -59,12 +59,12 @@ class FittedLattice:
     ) -> FittedLattice:
         """The fit that began at a candidate, with the agreement of its own halves.
 
-        A fit that has moved to where the flat has no evidence for it has run away: the candidate
-        is kept.
+        A fit that has moved to where the flat has no evidence for it has run away: a candidate that
+        ends the search is kept. For others, the distance counts against both.
         """
         pitch = fit.lattice.pitch
         halves = max(fit.half_difference, fit.displacement) / pitch
-        far = fit.displacement > _FAR * pitch and start.evidence.probability > 0.5
+        far = fit.displacement > _FAR * pitch and start.evidence.probability > _LIKELY
         if far and isinstance(picture, np.ndarray):
             moved = measure_lattice(picture, replace(fit.lattice, distortion=None))
             if moved.evidence.probability < 0.5:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 import lfcal
 
@@ -17,6 +18,13 @@ def test_final_fit_that_runs_away_is_not_taken(shared):
     index = whole.to_index(part.centres() + np.array([left, top]))
     away = np.linalg.norm((index - np.rint(index)) @ whole.basis, axis=1)
     assert np.sqrt((away**2).mean()) < 0.05 * whole.pitch
+
+
+def test_unevenly_stretched_array_whose_fits_disagree_is_not_stated(shared):
+    """Its middle gives 51.75 px across, its edges 51.15 px; a crop has the right 50.9 px."""
+    flat = lfcal.read_flat(shared("captures", "hard", "board_large_tiles.png"))
+    with pytest.raises(lfcal.CalibrationError, match=r"every 51\.\d px"):
+        lfcal.calibrate(flat)
 
 
 def test_noisy_white_image_of_small_blurred_lenses_is_found(whites):
