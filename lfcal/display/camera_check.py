@@ -117,7 +117,7 @@ def check_camera(flat: ArrayLike, calibration: Calibration, lens_types: bool = T
     misfit = seen.misfit
     if misfit is None:
         return CameraCheck(problem, usable=False)
-    stretched = misfit.distance <= MOST_SHIFT and misfit.stretch > MOST_STRETCH
+    stretched = misfit.distance <= MOST_SHIFT and misfit.is_stretched
     if stretched or not misfit.is_straight:
         return CameraCheck(problem, usable=misfit.distance + misfit.stretch < _ANOTHER_LENS)
     conflict = None
@@ -154,7 +154,7 @@ def find_problem(lattice: Lattice, seen: SeenLattice) -> str | None:
             f"the microimages lie {np.linalg.norm(misfit.shift):.1f} px beside those of the camera, "
             f"as in a crop, a turned flat, or with another camera; {_REMEDY}"
         )
-    if misfit.stretch > MOST_STRETCH:
+    if misfit.is_stretched:
         offsets = np.linalg.norm(misfit.at(nine_places(lattice.image_size)), axis=-1)
         where = REGIONS[int(offsets.argmax())]
         return (

@@ -50,6 +50,10 @@ _CERTAIN = 0.9
 # Largest difference of the lattices of two halves of the microimages [pitch]: fits that differ by
 # more do not tell whether corners are off.
 _HALVES = MOST_STRETCH
+# Errors that a fit may have in a corner, in standard errors of the middle: 2.4 times that, six of
+# them are chance (`SIGNIFICANT`), and lenses beside each other share half of their error. Beads in
+# the dark have corners 27 off, wrong cameras 49 and more.
+_CORNER_ERRORS = 30
 # Pitches [px] and pixels of downscaled flats: larger ones take time and show no more.
 _PITCH = 18
 _LEAST_PITCH = 10
@@ -260,7 +264,9 @@ def _fit(
     middle = (np.array(given.image_size) - 1) / 2
     design = np.column_stack([np.ones(len(centres)), centres - middle])
     change: Array = np.linalg.lstsq(design, away, rcond=None)[0]
-    return Misfit(change[0], change[1:], given.image_size, given.pitch)
+    scatter = fit.residual_rms / np.sqrt(fit.lenses_used) / given.pitch
+    error = float(_CORNER_ERRORS * scatter)
+    return Misfit(change[0], change[1:], given.image_size, given.pitch, error)
 
 
 def _without_vignetting(calibration: Calibration, fitted: Misfit, factor: int) -> Misfit:

@@ -34,6 +34,7 @@ class Misfit(NamedTuple):
     linear: Floats  # (2, 2)
     image_size: tuple[int, int]
     pitch: float
+    error: float = 0.0  # [pitch] that a fit may have in a corner
 
     @classmethod
     def between(cls, given: Lattice, found: Lattice) -> Misfit | None:
@@ -65,7 +66,7 @@ class Misfit(NamedTuple):
     def upscaled(self, lattice: Lattice) -> Misfit:
         """The same in the pixels of the given lattice, before downscaling."""
         shift = self.shift * (lattice.pitch / self.pitch)
-        return Misfit(shift, self.linear, lattice.image_size, lattice.pitch)
+        return self._replace(shift=shift, image_size=lattice.image_size, pitch=lattice.pitch)
 
     @property
     def stretch(self) -> float:
@@ -85,7 +86,12 @@ class Misfit(NamedTuple):
         """Whether scale and angle are the same, or so near that no corner of a small flat shows the
         difference.
         """
-        return float(np.linalg.norm(self.linear, 2)) < _SAME_BASIS or self.stretch < MOST_STRETCH
+        return float(np.linalg.norm(self.linear, 2)) < _SAME_BASIS or not self.is_stretched
+
+    @property
+    def is_stretched(self) -> bool:
+        """Whether a corner is off by more than right cameras and the error of the fit explain."""
+        return self.stretch > max(MOST_STRETCH, self.error)
 
     @property
     def is_negligible(self) -> bool:

@@ -254,12 +254,15 @@ def _read_segments(page: Any, rows: slice, columns: slice) -> Array:
     size = (planes, down * height, across * width, page.samplesperpixel // planes)
     block = np.zeros(size, page.dtype)
     wanted = table.ravel()
-    stored = page.parent.filehandle.read_segments(
-        *(np.take(place, wanted).tolist() for place in (page.dataoffsets, page.databytecounts)),
-        wanted.tolist(),
-    )
+    offsets = np.take(page.dataoffsets, wanted).tolist()
+    counts = np.take(page.databytecounts, wanted).tolist()
+
+    def decode(stored: tuple[bytes, int]) -> Any:
+        data, number = stored
+        return page.decode(data, int(wanted[number]), jpegtables=page.jpegtables)
+
     with ThreadPoolExecutor(min(len(wanted), os.cpu_count() or 1)) as pool:
-        decoded = pool.map(lambda one: page.decode(*one, jpegtables=page.jpegtables), stored)
+        decoded = pool.map(decode, page.parent.filehandle.read_segments(offsets, counts))
         for pixels, (plane, _, y, x, _), _ in decoded:
             if pixels is not None:
                 place = block[plane, y - top * height :, x - left * width :]

@@ -93,7 +93,7 @@ def refocus(
     assert patch_size is not None
     if scale is None:
         scale = abs(patch_size) if depth is None else default_scale(depth)
-    return _Refocused(flat, calibration, depth, aperture, scale).draw(patch_size)
+    return _Refocused(flat, pixels, calibration, depth, aperture, scale).draw(patch_size)
 
 
 def focal_stack(
@@ -127,7 +127,8 @@ def focal_stack(
         raise ValueError("patch_sizes must hold at least one number")
     if scale is None:
         scale = max(map(abs, sizes)) if depth is None else default_scale(depth)
-    stack = _Refocused(flat, calibration, depth, aperture, scale)
+    pixels = check_flat(flat, calibration)
+    stack = _Refocused(flat, pixels, calibration, depth, aperture, scale)
     return list(map(stack.draw, sizes))
 
 
@@ -136,14 +137,11 @@ class _Refocused:
     """What refocused pictures of one flat share."""
 
     flat: NDArray
+    pixels: NDArray  # the same by `check_flat`
     calibration: Calibration
     depth: DepthMap | None
     aperture: float
     scale: float
-
-    @cached_property
-    def pixels(self) -> NDArray:
-        return check_flat(self.flat, self.calibration)
 
     @cached_property
     def blur(self) -> DepthBlur | None:

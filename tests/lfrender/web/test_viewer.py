@@ -22,7 +22,7 @@ import lfrender
 from lfcal.lattice.distortion import Distortion
 from lfcal.runtime.light.tone import apply_tone
 from lfrender.cli.main import main
-from lfrender.data.depth_map import DepthMap
+from lfrender.data.depth_map import DepthMap, default_scale
 from lfrender.data.surface import Surface
 from lfrender.flat.prefilter import prefilter_flat
 from lfrender.output.finish import Finish, flat_picture
@@ -55,7 +55,9 @@ def at_depth_edges(picture, sizes, depth):
 @pytest.mark.parametrize(("plane", "scale"), [(FAR, None), (FAR, 4.0), (NEAR, None)])
 def test_a_plane_in_focus_is_that_of_the_renderer(page, captured, plane, aperture, scale):
     flat, camera, depth = captured
-    picture = lfrender.refocus(flat, camera, plane, depth=depth, aperture=aperture, scale=scale)
+    # The viewer draws the light field alone: without a depth map, so does the renderer.
+    scale = scale or default_scale(depth)
+    picture = lfrender.refocus(flat, camera, plane, aperture=aperture, scale=scale)
     difference = off(page, picture, mode="focus", plane=plane, aperture=aperture)
     # At the rim of the aperture rounding decides whether a lens takes part at all.
     assert np.mean(difference <= 2) > 0.9995
