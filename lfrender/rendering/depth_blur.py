@@ -23,7 +23,7 @@ __all__ = ["DepthBlur"]
 # [px of the flat] Images of neighbouring lenses this far apart begin to be replaced, and at twice
 # the distance they are: a lower limit replaces blur that is even already, a higher one leaves a
 # mesh.
-_APART = 3.0
+_APART = 2.0
 # Most layers, whose blur differs by a pixel or more, and the share of the pixels that may lie
 # before and behind all of them, which are mostly errors of the depth.
 _LAYERS = 24
