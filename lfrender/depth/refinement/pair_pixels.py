@@ -220,17 +220,18 @@ def resample_shifted(pixels, shape, raster, corner, pair, s, work, step):
     height, width = shape
     left, top = corner
     side, stride, _ = raster
-    ax, ay, bx, by, radius, pitch = pair
-    ux = (bx - ax) / pitch
-    uy = (by - ay) / pitch
-    tx = bx - ax + s * ux
-    ty = by - ay + s * uy
+    ux = (pair.bx - pair.ax) / pair.pitch
+    uy = (pair.by - pair.ay) / pair.pitch
+    tx = pair.bx - pair.ax + s * ux
+    ty = pair.by - pair.ay + s * uy
     x0 = int(np.floor(tx))
     y0 = int(np.floor(ty))
-    qx = bx - tx
-    qy = by - ty
-    begin = max(int(np.ceil(max(ay, qy) - radius)), max(1, 1 - y0), top)
-    end = min(int(np.floor(min(ay, qy) + radius)), min(height - 2, height - 3 - y0), top + side - 1)
+    qx = pair.bx - tx
+    qy = pair.by - ty
+    first_row = int(np.ceil(max(pair.ay, qy) - pair.radius))
+    last_row = int(np.floor(min(pair.ay, qy) + pair.radius))
+    begin = max(first_row, max(1, 1 - y0), top)
+    end = min(last_row, min(height - 2, height - 3 - y0), top + side - 1)
     start = (begin - top) * stride
     count = 0
     if end >= begin:
@@ -253,11 +254,11 @@ def resample_shifted(pixels, shape, raster, corner, pair, s, work, step):
         count,
         ux,
         uy,
-        ax - x,
-        ay - y,
+        pair.ax - x,
+        pair.ay - y,
         qx - x,
         qy - y,
-        radius * radius,
+        pair.radius * pair.radius,
         np.float32(max(1, 1 - x0) - left),
         np.float32(min(width - 2 - left, width - 3 - x0 - left, side - 1)),
         np.float32(begin - top),

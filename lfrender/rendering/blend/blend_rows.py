@@ -94,6 +94,22 @@ class _Lens(NamedTuple):
     share: Any  # uint64: the weights of its type in `_Memory.band`
 
 
+class _Reading(NamedTuple):
+    """What all lenses of a picture are read by."""
+
+    view_x: Any  # float32 [px] from centres of lenses to the viewpoint
+    view_y: Any
+    radius2: Any  # float32 [px^2] about the viewpoint, up to which they are read
+    per_entry: Any  # float32 [1 / px^2]: entries of the light table
+    last_entry: Any  # float32
+    step: Any  # float32 [px]: distance of columns
+    width: Any  # int32 [px]: of the whole flat
+    height: Any
+    corner_x: Any  # int32 [px]: of the part of it that is read
+    corner_y: Any
+    stride: Any  # int32: pixels of a row of the part
+
+
 @njit
 def _allocate(types, cells, runs, packed):
     single = np.float32
@@ -193,30 +209,27 @@ def _fill_band(memory, count, pitch, shares, weighting):
 
 
 @njit(fastmath=FAST, error_model="numpy", forceinline=True)
-def _place_readings(lens, u, column, size, step, band, run, place, entry, view, light, bounds):
+def _place_readings(lens, u, column, size, reading, band, run, place, entry):
     """Where the lens is read for `size` columns from `u` of the section on, and with what weight.
 
     All numbers have 32 bits, of which a register holds most. `column` is the first one, counted
     from the column nearest to the centre of the lens.
     """
-    radius2 = view[2]
+    radius2 = reading.radius2
     per_radius2 = np.float32(1) / radius2
-    per_entry = light[0]
-    last_entry = light[1]
-    width, height, corner_x, corner_y, stride = bounds
-    last_x = np.int32(width - 2)
-    last_y = np.int32(height - 2)
-    end_x = np.float32(width - 1)
-    end_y = np.float32(height - 1)
+    last_x = np.int32(reading.width - 2)
+    last_y = np.int32(reading.height - 2)
+    end_x = np.float32(reading.width - 1)
+    end_y = np.float32(reading.height - 1)
     zero = np.float32(0)
     one = np.float32(1)
     for k in range(size):
-        away_x = np.float32(np.int32(np.int32(k) + column)) * step + lens.first_x
+        away_x = np.float32(np.int32(np.int32(k) + column)) * reading.step + lens.first_x
         away2 = away_x * away_x + lens.away_y * lens.away_y
         slope = band[_SLOPE + u + k]
         limit2 = band[_LIMIT2 + u + k]
-        dx = view[0] - away_x * slope
-        dy = view[1] - lens.away_y * slope
+        dx = reading.view_x - away_x * slope
+        dy = reading.view_y - lens.away_y * slope
         delta2 = dx * dx + dy * dy
         x = lens.inner_x + dx
         y = lens.inner_y + dy
@@ -243,9 +256,11 @@ def _place_readings(lens, u, column, size, step, band, run, place, entry, view, 
         run[_DOWN + k] = fy
         run[_WEIGHT + k] = weight if seen else zero
         run[_AWAY2 + k] = away2
-        pixel = np.int32(np.int32(np.int32(iy - corner_y) * stride) + np.int32(ix - corner_x))
+        row = np.int32(np.int32(iy - reading.corner_y) * reading.stride)
+        pixel = np.int32(row + np.int32(ix - reading.corner_x))
         place[k] = pixel if seen else np.int32(0)
-        entry[k] = np.int32(np.int32(min(delta2 * per_entry, last_entry)) + lens.table)
+        of_light = min(delta2 * reading.per_entry, reading.last_entry)
+        entry[k] = np.int32(np.int32(of_light) + lens.table)
 
 
 @njit(fastmath=FAST, error_model="numpy", forceinline=True)
@@ -362,21 +377,25 @@ def _read_lenses(memory, flat, light, lenses, edge, weighting, grid, column, cou
     width = flat.size[0]
     height = flat.size[1]
     stride = np.uint64(flat.pixels.shape[1])
-    bounds = (
+    reading = _Reading(
+        weighting.viewpoint[0],
+        weighting.viewpoint[1],
+        weighting.viewpoint[2],
+        np.float32(1) / light.step,
+        np.float32(entries - 1),
+        np.float32(grid.spacing),
         np.int32(width),
         np.int32(height),
         np.int32(flat.corner[0]),
         np.int32(flat.corner[1]),
         np.int32(stride),
     )
-    view = (weighting.viewpoint[0], weighting.viewpoint[1], weighting.viewpoint[2])
-    lighting = (np.float32(1) / light.step, np.float32(entries - 1))
+    aside2 = reading.view_x * reading.view_x + reading.view_y * reading.view_y
+    inner = np.sqrt(reading.radius2) + np.sqrt(aside2) + 2
     first = grid.first[0]
     spacing = grid.spacing
     per_spacing = 1 / spacing
-    step = np.float32(spacing)
     apart = np.float32(2) * edge
-    inner = np.sqrt(view[2]) + np.sqrt(view[0] * view[0] + view[1] * view[1]) + 2
     centres = lenses.centres
     tables = lenses.tables
     types = lenses.types
@@ -410,9 +429,7 @@ def _read_lenses(memory, flat, light, lenses, edge, weighting, grid, column, cou
             groups = max((min(end_u - begin, _RUN) + _GROUP - 1) // _GROUP, 2)
             size = np.uint64(groups) * np.uint64(_GROUP)
             offset = np.int32(column + begin - anchor)
-            _place_readings(
-                lens, u, offset, size, step, band, run, place, entry, view, lighting, bounds
-            )
+            _place_readings(lens, u, offset, size, reading, band, run, place, entry)
             _weigh_by_light(size, run, entry, table, light.applied)
             if edged[index]:
                 _weigh_by_depth(u, size, run, place, band, shown, stride, apart)
