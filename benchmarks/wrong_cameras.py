@@ -4,16 +4,21 @@
 
 Each seed simulates a scene and a white image of a random camera. The camera is calibrated on the
 white image and checked against the scene, unchanged and in degraded forms. Wrong cameras are
-turned by 90 degrees, mirrored, shifted by a third of a pitch in a random direction, 0.5 % too long
-or short, stretched by 0.045 pitches in the corners (another camera of the same kind), or have
-their lens types in another order. Captures with their cameras may be added. Two cases are counted
-separately: forms whose message says that no microimages can be seen, and cameras whose lattice
-does not change when it is turned or mirrored (within 0.06 pitches).
+turned by 90 or 5 degrees, mirrored, shifted by a third of a pitch in a random direction or by half
+a cell, 0.5 or 3 % too long or short, stretched by 0.045 pitches in the corners (another camera of
+the same kind), or have their lens types in another order. Whether `analyze` in Python notices them
+is counted as well, where the lattice is wrong. Captures with their cameras may be added. Two cases
+are counted separately: forms whose message says that no microimages can be seen, and cameras whose
+lattice does not change when it is turned or mirrored (within 0.06 pitches).
+
+Last, each scene and capture is calibrated alone, and the camera is checked on it as if it were
+another flat: contradictions are printed with the confidence that was stated.
 """
 
 from __future__ import annotations
 
 import sys
+import warnings
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
@@ -24,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import lfcal
+from lfrender.flat.validation import check_flat, verify_camera
 
 from .random_scenes import draw
 
@@ -34,6 +40,9 @@ _SAME = 0.06
 _STRETCH = 0.045
 _TURN = np.array([[0, 1], [-1, 0]])
 _MIRROR = np.array([[-1, 0], [0, 1]])
+_ANGLE = np.radians(5)
+_FIVE_DEGREES = np.array([[np.cos(_ANGLE), np.sin(_ANGLE)], [-np.sin(_ANGLE), np.cos(_ANGLE)]])
+_LONGER = 1.03
 
 
 def _forms(flat: NDArray[Any], rng: np.random.Generator) -> Iterator[tuple[str, NDArray[Any]]]:
@@ -61,15 +70,24 @@ def _wrong_cameras(
     third = lattice.pitch / 3 * np.array([np.cos(angle), np.sin(angle)])
     scale = 1 + 0.005 * rng.choice([-1, 1])
     stretch = 1 + rng.choice([-1, 1]) * _STRETCH * lattice.pitch / float(np.hypot(*middle))
-    changed = ("pitch", scale * np.eye(2)), ("stretched", stretch * np.eye(2))
-    for name, matrix in (("turned", _TURN), ("mirrored", _MIRROR), *changed):
+    changes = {
+        "turned": _TURN,
+        "mirrored": _MIRROR,
+        "pitch": scale * np.eye(2),
+        "stretched": stretch * np.eye(2),
+        "5 degrees": _FIVE_DEGREES,
+        "3 %": _LONGER * np.eye(2),
+    }
+    for name, matrix in changes.items():
         origin = middle + (lattice.origin - middle) @ matrix
         basis = lattice.basis @ matrix
         yield (
             name,
             replace(camera, lattice=replace(lattice, origin=origin, basis=basis, distortion=None)),
         )
-    yield "shifted", replace(camera, lattice=replace(lattice, origin=lattice.origin + third))
+    half = lattice.basis.sum(0) / 2
+    for name, shift in (("shifted", third), ("half a cell", half)):
+        yield name, replace(camera, lattice=replace(lattice, origin=lattice.origin + shift))
     if types is not None and types.ordered:
         order = rng.permutation(types.count)
         while (order == np.arange(types.count)).all():
@@ -89,6 +107,31 @@ def _is_same(one: lfcal.Lattice, other: lfcal.Lattice) -> bool:
         float(np.linalg.norm((away - np.rint(away)) @ other.basis, axis=1).max())
         < _SAME * one.pitch
     )
+
+
+def _is_silent(flat: NDArray[Any], camera: lfcal.Calibration) -> bool:
+    """Whether `lfrender.analyze` takes the camera without an error or a warning."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        try:
+            verify_camera(check_flat(flat, camera), camera)
+        except (UserWarning, lfcal.CameraError):
+            return False
+    return True
+
+
+def _check_own(name: str, flat: NDArray[Any], count: Counter[str]) -> None:
+    """Count whether the camera found on a flat is contradicted there."""
+    try:
+        camera = lfcal.calibrate(flat)
+    except lfcal.CalibrationError:
+        count["own: refused"] += 1
+        return
+    problem = lfcal.check_camera(flat, replace(camera, flats=())).problem
+    count["own"] += 1
+    if problem is not None:
+        count["own: contradicted"] += 1
+        print(f"{name}: own camera, confidence {camera.confidence_text}: {problem}", flush=True)
 
 
 def main(arguments: list[str]) -> None:
@@ -121,11 +164,14 @@ def main(arguments: list[str]) -> None:
                     continue
                 count[f"wrong: {kind}"] += 1
                 check = lfcal.check_camera(pixels, wrong)
+                if check.checked and kind != "type order" and _is_silent(pixels, wrong):
+                    count[f"silent in Python: {kind}"] += 1
                 if not check.checked:
                     count["wrong: said that no microimages can be seen"] += 1
                 elif check.problem is None:
                     count[f"missed: {kind}"] += 1
                     print(f"{name}, {form}: {kind} is not noticed", flush=True)
+        _check_own(name, flat, count)
     print(dict(count))
 
 

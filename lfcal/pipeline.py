@@ -150,10 +150,13 @@ def _combine(
         camera = replace(camera, white_balance=balance)
     # Rims of several lens types take seconds to fit: of scenes, those of one type are measured.
     quick = camera.source == "white" or camera.lens_types is None
-    if quick and camera.confidence >= SURE_CONFIDENCE:
+    sure = camera.confidence >= SURE_CONFIDENCE
+    if quick and sure:
         from .lens_blur.rims import measure_rims
 
         camera = replace(camera, lens_blur=measure_rims(flats[0], camera))
+    if sure:
+        camera = replace(camera, flats=tuple(map(camera.digest, flats)))
     step(_STAGES, _STAGES)
     return camera
 

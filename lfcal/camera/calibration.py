@@ -18,7 +18,7 @@ from ..lattice.cell import Cell
 from ..lattice.distortion import Distortion
 from ..lattice.lattice import Lattice, describe_orientation
 from ..lattice.standard_errors import LatticeErrors, Residuals
-from ..runtime.arrays import Frozen
+from ..runtime.arrays import Array, Frozen, digest_arrays
 from ..runtime.errors import CalibrationError, CameraFileError, FlatError, check_number, check_type
 from ..runtime.image_formats import MOSAICS, Mosaic
 from ..runtime.output_file import atomic_write
@@ -44,7 +44,7 @@ _PARTS: dict[str, Any] = {
     "lens_blur": LensBlur,
 }
 # Fields that are stored as they are, and fields of the fit, whose NaN is stored as null.
-_VALUES = ("source", "mosaic", "mosaic_guessed", "white_level", "encoded", "white_balance")
+_VALUES = ("source", "mosaic", "mosaic_guessed", "white_level", "encoded", "white_balance", "flats")
 _FIT = ("residual_rms", "lenses_used", "confidence")
 # Largest confidence that is stated of a lattice that was found.
 _MOST_CONFIDENCE = 0.999
@@ -103,6 +103,8 @@ class Calibration(Frozen):
         True if the colour filters were found on a flat, which does not tell red from blue.
     white_balance : (float, float, float) or None
         Gains of red, green and blue that make its white image behind these filters grey.
+    flats : tuple of str
+        Digests of the flats that show for sure that this is their lattice: `is_own` knows them.
 
     Examples
     --------
@@ -134,6 +136,7 @@ class Calibration(Frozen):
     encoded: bool | None = None
     mosaic_guessed: bool = False
     white_balance: tuple[float, float, float] | None = None
+    flats: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         check_type(self.lattice, Lattice, "lattice", "lfcal.state_lattice makes one of figures")
@@ -195,6 +198,20 @@ class Calibration(Frozen):
             white_balance=balance,
             warnings=tuple(warnings),
         )
+
+    def digest(self, flat: Array) -> str:
+        """Digest of a flat together with the places and types of the microlenses."""
+        lattice = self.lattice
+        arrays = {"flat": flat, "origin": lattice.origin, "basis": lattice.basis}
+        if lattice.distortion is not None:
+            arrays["distortion"] = np.array(json.dumps(lattice.distortion.to_dict()))
+        if self.lens_types is not None:
+            arrays["lens_types"] = self.lens_types.cell
+        return digest_arrays(arrays)
+
+    def is_own(self, flat: Array) -> bool:
+        """Whether the camera was calibrated on this flat, is sure, and has its lattice still."""
+        return bool(self.flats) and self.digest(flat) in self.flats
 
     def with_mosaic_of(self, flat: NDArray[Any]) -> Calibration:
         """The camera with the colour filters found on a flat (h, w), unless it has some."""

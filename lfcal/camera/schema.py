@@ -107,6 +107,7 @@ class _Camera(Struct):
     encoded: bool | None = None
     mosaic_guessed: bool = False
     white_balance: tuple[_Gain, _Gain, _Gain] | None = None
+    flats: tuple[_Text, ...] = ()
     lens_types: _LensTypes | None = None
     gain_map: _GainMap | None = None
     errors: _LatticeErrors | None = None

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from ..camera.calibration import Calibration
 from ..lattice.lattice import Lattice, describe_orientation
 from ..runtime.arrays import Array
-from ..runtime.errors import CameraError
+from ..runtime.errors import CAMERA_ADVICE, CameraError, check_type
 from .compare import REGIONS, nine_places
 from .flat_lattice import SeenLattice, measure_camera
 from .misfit import MOST_SHIFT, MOST_STRETCH
@@ -86,7 +86,9 @@ class CameraCheck:
 
 
 def check_camera(flat: ArrayLike, calibration: Calibration, lens_types: bool = True) -> CameraCheck:
-    """Check whether a flat can have been made with a camera, in about a tenth of a second.
+    """Check whether a flat can have been made with a camera, in a tenth to about one second.
+
+    A flat that the camera was calibrated on for sure needs no check.
 
     The check finds turned or mirrored flats, shifts of more than a tenth of the pitch, pitches that
     are wrong by more than 0.25 %, another array, and lens types in another order. A flat without a
@@ -109,6 +111,9 @@ def check_camera(flat: ArrayLike, calibration: Calibration, lens_types: bool = T
     if isinstance(flat, Calibration):
         warnings.warn("call check_camera(flat, calibration)", DeprecationWarning, stacklevel=2)
         flat, calibration = calibration, flat  # type: ignore[assignment]
+    check_type(calibration, Calibration, "calibration", CAMERA_ADVICE)
+    if calibration.is_own(np.asarray(flat)):
+        return CameraCheck()
     seen = measure_camera(calibration, flat)
     if seen.lattice is None:
         return CameraCheck(checked=False)

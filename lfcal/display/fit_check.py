@@ -33,6 +33,8 @@ class FitCheck(Frozen):
         Pitch of the given lattice.
     warning : str or None
         The error of the lattice if it is visible in pictures, as `check_camera` states it.
+    own : bool
+        The camera was calibrated on this flat, and is sure.
 
     Examples
     --------
@@ -44,6 +46,7 @@ class FitCheck(Frozen):
     offset: Floats
     pitch: float
     warning: str | None = None
+    own: bool = False
 
     @property
     def max_offset(self) -> float:
@@ -60,6 +63,11 @@ class FitCheck(Frozen):
         """A sentence that says whether the camera fits the flat."""
         if np.isnan(self.max_offset):
             return "this flat does not show where its microimages are; a white image would"
+        if self.own:
+            return (
+                "the camera was calibrated on this flat; a fit to a part of its microimages is "
+                f"within {self.max_offset:.2f} px of it"
+            )
         return self.warning or (
             f"within {self.max_offset:.2f} px of this flat; no reason to worry: what the scene "
             f"shows in microimages moves such figures by up to {self.limit:.1f} px"
@@ -95,4 +103,6 @@ def check_fit(calibration: Calibration, image: ArrayLike) -> FitCheck:
     offset = np.full((3, 3, 2), np.nan)
     if seen.misfit is not None and (seen.measured or not seen.misfit.is_small):
         offset = seen.misfit.at(positions)
-    return FitCheck(positions, offset, lattice.pitch, find_problem(lattice, seen))
+    own = calibration.is_own(np.asarray(image))
+    warning = None if own else find_problem(lattice, seen)
+    return FitCheck(positions, offset, lattice.pitch, warning, own)

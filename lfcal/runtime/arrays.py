@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import base64
+import hashlib
 import zlib
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import fields
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 __all__ = [
     "ENOUGH_LENSES",
@@ -24,6 +25,7 @@ __all__ = [
     "Integers",
     "Singles",
     "decode_array",
+    "digest_arrays",
     "encode_array",
     "stretch_contrast",
     "white_of",
@@ -91,6 +93,16 @@ def _equal(one: Any, other: Any) -> bool:
             one, other, equal_nan=one.dtype.kind == "f" and other.dtype.kind == "f"
         )
     return bool(one == other or (one != one and other != other))
+
+
+def digest_arrays(arrays: Mapping[str, ArrayLike]) -> str:
+    """SHA-256 of arrays, with their names, types and shapes."""
+    digest = hashlib.sha256()
+    for name in sorted(arrays):
+        values = np.ascontiguousarray(arrays[name])
+        digest.update(f"{name} {values.dtype.str} {np.shape(arrays[name])}".encode())
+        digest.update(values.reshape(-1).view(np.uint8).data)
+    return digest.hexdigest()
 
 
 def encode_array(values: NDArray[Any]) -> str:

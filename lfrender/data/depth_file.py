@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 from collections.abc import Callable
@@ -13,7 +12,7 @@ from zipfile import ZipFile
 import numpy as np
 
 from lfcal import LensBlur, LightFieldError
-from lfcal.runtime.arrays import Array, Singles
+from lfcal.runtime.arrays import Array, Singles, digest_arrays
 from lfcal.runtime.input_file import open_regular
 from lfcal.runtime.output_file import atomic_write
 
@@ -136,7 +135,7 @@ def write_depth(depth: DepthMap, path: AnyPath) -> None:
         values["kept"] = state.kept
         values |= {f"kept_{name}": value for name, value in state.reference._asdict().items()}
     known = {name: np.asarray(value) for name, value in values.items() if value is not None}
-    known["digest"] = np.array(_digest(known))
+    known["digest"] = np.array(digest_arrays(known))
     with atomic_write(Path(path)) as temporary, open(temporary, "wb") as stream:
         np.savez(stream, **known)  # type: ignore[arg-type]
 
@@ -197,7 +196,7 @@ def _fields_of(data: Entries) -> Entries:
 def camera_digest(image_size: Size, pitch: float, centres: Singles) -> str:
     """Digest of what a depth map knows of its camera; `centres` (n, 2) [px]."""
     size = np.array(image_size, np.int64)
-    return _digest({"centres": centres, "image_size": size, "pitch": np.float64(pitch)})
+    return digest_arrays({"centres": centres, "image_size": size, "pitch": np.float64(pitch)})
 
 
 def check_extent(depth: DepthMap) -> None:
@@ -213,16 +212,6 @@ def check_extent(depth: DepthMap) -> None:
         raise DepthFileError(
             f"the surface of the depth map lies not over the flat of {size} px; analyze again"
         )
-
-
-def _digest(arrays: Entries) -> str:
-    """SHA-256 of arrays, with their names, types and shapes."""
-    digest = hashlib.sha256()
-    for name in sorted(arrays):
-        values = np.ascontiguousarray(arrays[name])
-        digest.update(f"{name} {values.dtype.str} {np.shape(arrays[name])}".encode())
-        digest.update(values.tobytes())
-    return digest.hexdigest()
 
 
 def check_columns(data: dict[str, Array]) -> None:
@@ -253,7 +242,7 @@ def check_columns(data: dict[str, Array]) -> None:
 def _check_together(depth: DepthMap, data: dict[str, Array]) -> None:
     """ValueError if the arrays of a file contradict each other, or were changed after `save`."""
     digest = data.pop("digest", None)
-    if digest is not None and digest != _digest(data):
+    if digest is not None and digest != digest_arrays(data):
         raise ValueError(
             "its arrays were changed after they were written; leave out 'digest' if you did that"
         )

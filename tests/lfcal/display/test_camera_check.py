@@ -94,3 +94,21 @@ def test_the_earlier_order_of_arguments_is_deprecated(white):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert lfcal.check_camera(white.image, white.camera) == before
+
+
+def test_own_flat_confirms_a_sure_camera_from_its_file_until_its_lattice_changes(white, tmp_path):
+    lfcal.calibrate(white.image).save(tmp_path / "camera.json")
+    camera = lfcal.load(tmp_path / "camera.json")
+    assert camera.is_own(white.image) and lfcal.check_camera(white.image, camera).fits
+    other = white.image.copy()
+    other[0, 0] = other[0, 0] + 1
+    assert not camera.is_own(other)
+    origin = camera.lattice.origin + camera.lattice.basis[0] / 2
+    moved = replace(camera, lattice=replace(camera.lattice, origin=origin))
+    assert not moved.is_own(white.image)
+    assert lfcal.check_camera(white.image, moved).problem is not None
+
+
+def test_camera_that_is_in_doubt_is_checked_on_its_own_flat(white, monkeypatch):
+    monkeypatch.setattr("lfcal.pipeline.SURE_CONFIDENCE", 2.0)
+    assert not lfcal.calibrate(white.image).is_own(white.image)

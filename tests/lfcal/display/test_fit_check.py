@@ -73,3 +73,9 @@ def test_published_file_that_contradicts_the_pixels_has_a_warning(shared, name, 
         flat,
     )
     assert (found.max_offset > 1.5) is wrong and (found.warning is not None) is wrong
+
+
+def test_verdict_on_the_flat_of_the_calibration_names_it(white):
+    found = lfcal.check_fit(lfcal.calibrate(white.image), white.image)
+    assert found.own and found.warning is None and found.max_offset < 0.05
+    assert found.verdict.startswith("the camera was calibrated on this flat; a fit")
