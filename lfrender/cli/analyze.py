@@ -30,7 +30,7 @@ _WHOLE = ("ply", "mesh")
     "lfrender analyze flat.png -o depth.npz",
     "lfrender analyze flat.png -c camera.json -o depth.npz --dense depth.tif --picture depth.png",
     "lfrender analyze flat.png -c camera.json -o depth.npz --roi 400 300 900 700",
-    "lfrender analyze flat.png -o cloud.ply",
+    "lfrender analyze flat.png -o cloud.ply --roi 400 300 900 700",
     "lfrender analyze flat.png -o scene.glb",
     output=(
         "DEPTH.npz",
@@ -68,7 +68,7 @@ def analyze(capture: CaptureInput, given: Any) -> None:
     if forms["mesh"]:
         check_mesh_file(forms["mesh"])
     values = {**vars(given), **forms, "roi": capture.roi}
-    refuse_together(values, *(f"{name} roi {form}" for name in _CLUSTER for form in _WHOLE))
+    refuse_together(values, *(f"{name} {form}" for name in _CLUSTER for form in _WHOLE))
     if given.unfilled and not forms["dense"]:
         raise click.UsageError("--unfilled is for --dense")
     given.optics = given.optics and Optics.load(given.optics)

@@ -335,6 +335,12 @@ TABLE = {
         default=8,
         show_default=True,
     ),
+    "interval": _row(
+        "--interval",
+        _POSITIVE,
+        "From one flat to the next. [default: of a video, its own; else not stated]",
+        "SECONDS",
+    ),
     # Where to show it.
     "export": _row(
         "--export",

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any
-
-import click
 
 from lfcal.runtime.output_file import check_folder, make_folder
 
@@ -26,19 +25,21 @@ __all__ = ["volume"]
     "lfrender volume flat.tif --white white.tif -o volume.ome.tif",
     "lfrender volume flat.tif -c camera.json -o volume.ome.zarr --na 0.5 --magnification 20 "
     "--microlens-focal-length 2433 --pixel-size 4.55 --depth-range -120 120",
-    "lfrender volume frames -c camera.json -o volumes --depth-range -6 6",
+    "lfrender volume flat.tif -c camera.json -o part.ome.tif --roi 400 300 900 700",
+    "lfrender volume frames -c camera.json -o lapse.ome.tif --interval 0.1",
     output=(
         "VOLUME|FOLDER",
-        "Volume to write: .ome.tif or .ome.zarr; a folder for the volumes of several flats.",
+        "Volume to write: .ome.tif or .ome.zarr, with an axis of time for several flats; or a "
+        "folder for a volume of each.",
     ),
     own={
         "Optics": "na magnification medium_index microlens_focal_length pixel_size wavelength",
         "Volume": "depth_range planes steps voxels",
+        "Time lapse": "interval",
     },
     refused={
         "depth_file": "a volume holds all depths",
         "preset": "no depth map is analysed; --steps sets the time",
-        "roi": "volumes are of the whole flat",
         "page": "of several pictures in a file, each becomes a volume",
     },
     inputs="the first flat",
@@ -52,7 +53,7 @@ def volume(capture: CaptureInput, given: Any) -> None:
     from the volume before.
     """
     from .. import Microscope, reconstruct_volume
-    from ..volume.files import SUFFIXES, check_volume_file
+    from ..volume.files import SUFFIXES, check_volume_file, open_volume_file
 
     report = capture.report
     output = given.output
@@ -65,46 +66,55 @@ def volume(capture: CaptureInput, given: Any) -> None:
         optics = (field.name for field in fields(Microscope))
         microscope = Microscope(**{name: getattr(given, name) for name in optics})
         frames = capture.open_frames(given.inputs)
-    if one_file and frames.count != 1:
-        several = f"{output} holds one volume, there are {frames.count} flats"
-        raise click.UsageError(f"{several}: give a folder")
     if not one_file:
         make_folder(output)
+    interval = given.interval
+    if interval is None and frames.rate:
+        interval = float(1 / frames.rate)
+    collected: AbstractContextManager[Any] = nullcontext()
+    if one_file:
+        collected = open_volume_file(output, interval)
     written: list[str] = []
     found: Volume | None = None
     calibration: Calibration | None = None
-    for number, frame in enumerate(frames, 1):
-        pixels = frame.read()
-        if calibration is None:
-            pixels, calibration = capture.calibrate(pixels)
-        target = output
-        if not one_file:
-            target /= f"{frame.name}.ome.tif"
-        name = f"volume {number}"
-        with report.stage("reconstruct"), report.progress(name) as step, option_errors():
-            found = reconstruct_volume(
-                pixels,
-                calibration,
-                microscope,
-                depth_range=given.depth_range,
-                planes=given.planes,
-                steps=given.steps,
-                voxels=given.voxels,
-                start=found,
-                progress=step,
-                check=False,
-            )
-        with report.stage("write"):
-            found.save(target)
-        written.append(str(target))
+    number = 0
+    with collected as add:
+        for number, frame in enumerate(frames, 1):
+            pixels = frame.read()
+            if calibration is None:
+                pixels, calibration = capture.calibrate(pixels)
+            name = f"volume {number}"
+            with report.stage("reconstruct"), report.progress(name) as step, option_errors():
+                found = reconstruct_volume(
+                    pixels,
+                    calibration,
+                    microscope,
+                    depth_range=given.depth_range,
+                    planes=given.planes,
+                    steps=given.steps,
+                    voxels=given.voxels,
+                    roi=capture.roi,
+                    start=found,
+                    progress=step,
+                    check=False,
+                )
+            with report.stage("write"):
+                if one_file:
+                    add(found)
+                else:
+                    written.append(str(output / f"{frame.name}.ome.tif"))
+                    found.save(written[-1])
     assert found is not None and calibration is not None
-    where = written[0]
-    if len(written) > 1:
-        where = f"{len(written)} volumes in {output}"
+    if one_file:
+        written.append(str(output))
+    where = str(output)
+    if number > 1:
+        where = f"{number} volumes in {output}"
     fit = found.fit
     about = {
         "volume": written[0],
         "volumes": written,
+        "frames": number,
         "shape": found.data.shape,
         "spacing": found.spacing,
         "unit": found.unit,

@@ -14,7 +14,8 @@ from .. import data
 from ..data.depth_map import DepthMap
 from ..data.plots import napari_layers
 from ..output.formats import is_ome_name
-from ..volume.volume import Volume
+from ..volume.files import read_volume
+from ..volume.volume import layer_look
 
 __all__ = ["clutter", "get_reader", "house"]
 
@@ -55,11 +56,17 @@ def _read(path: str | list[str]) -> list[Layer]:
 
 
 def _read_ome(path: str) -> list[Layer]:
-    """The layer of a volume, or of a flat."""
+    """The layer of a volume or of a time lapse of volumes, or of a flat."""
     try:
-        return [Volume.load(path).napari_layer(Path(path).name)]
+        known = read_volume(path)
     except FlatError:
         return napari_layers(flat=read_flat(path))
+    spacing = known["spacing"]
+    origin = known["origin"]
+    if known["data"].ndim == 4:
+        spacing = [known["interval"] or 1.0, *spacing]
+        origin = [0.0, *origin]
+    return [(known["data"], layer_look(Path(path).name, spacing, origin), "image")]
 
 
 def _sample(name: str) -> list[Layer]:

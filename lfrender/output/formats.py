@@ -8,13 +8,15 @@ other.
 from __future__ import annotations
 
 import json
+import math
 import secrets
 import shutil
 import struct
 import zlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -63,7 +65,11 @@ _PERCEPTUAL = b"\0"
 # Bytes of pixels that plain TIFF holds: it counts with 32 bits, and needs room for its tags.
 _TIFF_BYTES = 2**32 - 2**25
 # Largest sides of the chunks of OME-Zarr: all channels, one plane of a volume, 512 x 512 pixels.
-_CHUNKS = {"c": 4, "z": 1, "y": 512, "x": 512}
+_CHUNKS = {"c": 4, "t": 1, "z": 1, "y": 512, "x": 512}
+# Kinds of axes that are no directions in space.
+_AXES = {"c": "channel", "t": "time"}
+# Levels of OME-Zarr are halved until their longer side is no longer than this [px].
+_SMALLEST_LEVEL = 256
 
 #: Pixels, with alpha where they have 2 or 4 channels, and their JSON text.
 Page = tuple[Array, str]
@@ -366,36 +372,57 @@ def write_ome_zarr(
     scale: list[float],
     first: list[float],
     text: str,
-    unit: str | None = None,
+    units: Mapping[str, str] = MappingProxyType({}),
+    levels: bool = False,
 ) -> None:
     """Write an array as array `0` of an OME-Zarr group (NGFF 0.5), whole or not at all.
 
-    `axes` has a letter for each axis, of which `c` are channels; `scale` and `first` are distance
-    and place of its values along each; `text` is stored as the description.
+    `axes` has a letter for each axis, the last two `yx`; `scale` and `first` are distance and place
+    of its values along each, in `units` where they have one; `text` is stored as the description.
+    With `levels`, arrays `1`, `2`, ... have half of the rows and columns each.
     """
     import zarr
 
-    named = [{"name": name, "type": "channel" if name == "c" else "space"} for name in axes]
-    if unit is not None:
-        named = [{**axis, "unit": unit} for axis in named]
-    moves = [
-        {"type": "scale", "scale": scale},
-        {"type": "translation", "translation": first},
-    ]
-    datasets = [{"path": "0", "coordinateTransformations": moves}]
+    named: list[Entries] = []
+    for name in axes:
+        named.append({"name": name, "type": _AXES.get(name, "space")})
+        if name in units:
+            named[-1]["unit"] = units[name]
+    count = 1
+    if levels:
+        count += max(0, math.ceil(math.log2(max(array.shape[-2:]) / _SMALLEST_LEVEL)))
+    datasets = []
+    for level in range(count):
+        wide = np.array([*[1] * (len(axes) - 2), 2**level, 2**level])
+        place = first + (wide - 1) / 2 * scale
+        moves = [
+            {"type": "scale", "scale": (wide * scale).tolist()},
+            {"type": "translation", "translation": place.tolist()},
+        ]
+        datasets.append({"path": f"{level}", "coordinateTransformations": moves})
     scales = [{"name": path.name, "axes": named, "datasets": datasets}]
     attributes = {"ome": {"version": "0.5", "multiscales": scales}, "description": text}
-    sides = zip(axes, array.shape, strict=True)
-    chunks = tuple(min(length, _CHUNKS[name]) for name, length in sides)
     made = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
     try:
         with output_errors(path), zarr.config.set({"array.write_empty_chunks": True}):
             group = zarr.create_group(str(made), attributes=attributes, zarr_format=3)
-            data = np.ascontiguousarray(array)
-            group.create_array("0", data=data, chunks=chunks, dimension_names=list(axes))
+            for level in range(count):
+                data = np.ascontiguousarray(array)
+                sides = zip(axes, data.shape, strict=True)
+                chunks = tuple(min(length, _CHUNKS[name]) for name, length in sides)
+                group.create_array(f"{level}", data=data, chunks=chunks, dimension_names=list(axes))
+                if level + 1 < count:
+                    array = _halve(array)
             made.replace(path)
     finally:
         shutil.rmtree(made, ignore_errors=True)
+
+
+def _halve(array: Array) -> Array:
+    """Means of squares of 2 x 2 values along the last two axes, without an odd row or column."""
+    even = array[..., : array.shape[-2] // 2 * 2, : array.shape[-1] // 2 * 2]
+    rows = (even[..., ::2, :] + even[..., 1::2, :]) / 2
+    return np.asarray((rows[..., ::2] + rows[..., 1::2]) / 2)
 
 
 _WHOLE = ("uint8", "uint16")

@@ -9,7 +9,9 @@ from lfcal.runtime.arrays import Array, Floats, Singles
 from lfcal.runtime.errors import check_type
 from lfcal.runtime.progress import Progress, show_progress
 
+from ..depth.region import check_region
 from ..flat.validation import check_flat, verify_camera
+from ..runtime.types import Region
 from .footprint import blur_planes
 from .grid import VoxelGrid
 from .microscope import Microscope, Scale
@@ -38,6 +40,7 @@ def reconstruct_volume(
     planes: int = 41,
     steps: int = 40,
     voxels: int = 8,
+    roi: Region | None = None,
     start: Volume | None = None,
     check: bool = True,
     progress: Progress = None,
@@ -65,6 +68,9 @@ def reconstruct_volume(
         more.
     voxels : int
         Along each side of a microlens.
+    roi : (x0, y0, x1, y1), optional
+        Only the voxels over this part of the flat [px], on the grid of the whole. Lenses around it
+        that see them are used too.
     start : Volume, optional
         Of the frame before, on the same grid: fewer steps are needed.
     check : bool
@@ -108,15 +114,23 @@ def reconstruct_volume(
         raise ValueError("flat is dark: no pixel within a microimage has a value above 0")
     depths = _depths(depth_range, planes, scale, lattice.pitch, used.reach)
     slopes = depths * scale.slope_per_depth
-    grid = VoxelGrid.over(lattice, slopes, voxels, used.reach)
-    shape = (planes, *grid.inner)
+    if roi is not None:
+        roi = check_region(roi, lattice)
+    grid = VoxelGrid.over(lattice, slopes, voxels, used.reach, roi)
+    if roi is not None:
+        used = grid.select(used)
+        if not used.values.any():
+            raise ValueError("roi is dark: no pixel within its microimages has a value above 0")
+    x, y = (grid.first * scale.pixel).tolist()
+    origin = (float(depths[0]), y, x)
     if start is not None:
         check_type(start, Volume, "start", "reconstruct_volume makes one")
-    if start is not None and (start.data.shape != shape or not np.allclose(start.slopes, slopes)):
-        raise ValueError(
-            "start must be a volume on the same grid: of the same camera, depth_range, planes and "
-            "voxels"
-        )
+        places = ((start.slopes, slopes), (start.origin, origin))
+        if start.data.shape != grid.shape or not all(np.allclose(*pair) for pair in places):
+            raise ValueError(
+                "start must be a volume on the same grid: of the same camera, depth_range, planes, "
+                "voxels and roi"
+            )
     projector = grid.projector(used, lattice, scale)
     before = None if start is None else grid.pad(start.data)
     variance = measure_variance(grey, calibration)
@@ -125,11 +139,10 @@ def reconstruct_volume(
     blur_planes(found, grid.null_space(used, lattice))
     data = grid.crop(found)
     spacing = grid.spacing * scale.pixel
-    first = grid.first * scale.pixel
     return Volume(
         data,
         (float(depths[1] - depths[0]), spacing, spacing),
-        (float(depths[0]), first, first),
+        origin,
         scale.unit,
         slopes,
         lattice.pitch * scale.pixel,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,10 +11,10 @@ import numpy as np
 from lfcal.runtime.arrays import Array, Floats, Frozen, Singles
 from lfcal.runtime.page import html_card
 
-from ..runtime.types import AnyPath
+from ..runtime.types import AnyPath, Entries
 from .richardson_lucy import Fit
 
-__all__ = ["Volume"]
+__all__ = ["Volume", "layer_look"]
 
 # Of the brightness of a projection: brighter voxels are shown white.
 _WHITE_QUANTILE = 0.999
@@ -90,12 +91,18 @@ class Volume(Frozen):
         write_volume(path, self)
 
     @classmethod
-    def load(cls, path: AnyPath) -> Volume:
-        """Read what `save` has written; FlatError where it is something else."""
+    def load(cls, path: AnyPath, frame: int = 0) -> Volume:
+        """Read what `save` has written, or a `frame` of a time lapse; FlatError of other files."""
         from .files import read_volume
 
         known = read_volume(path)
-        known["fit"] = Fit(**known["fit"])
+        fits = known.pop("fits")
+        if not 0 <= frame < len(fits):
+            raise ValueError(f"frame must be 0 to {len(fits) - 1}, got {frame}")
+        known["fit"] = Fit(**fits[frame])
+        del known["interval"]
+        if known["data"].ndim == 4:
+            known["data"] = known["data"][frame]
         known["slopes"] = np.array(known["slopes"], np.float64)
         for name in ("spacing", "origin", "warnings"):
             known[name] = tuple(known[name])
@@ -143,8 +150,7 @@ class Volume(Frozen):
 
         Add it by `viewer.add_layer(napari.layers.Layer.create(*volume.napari_layer()))`.
         """
-        look = {"name": name, "colormap": "gray", "rendering": "mip", "blending": "additive"}
-        return self.data, {**look, "scale": self.spacing, "translate": self.origin}, "image"
+        return self.data, layer_look(name, self.spacing, self.origin), "image"
 
     def __repr__(self) -> str:
         deep, high, wide = self.data.shape
@@ -170,3 +176,9 @@ class Volume(Frozen):
             self.plot(figure)
 
         return html_card(repr(self), figures, draw, self.warnings)
+
+
+def layer_look(name: str, spacing: Sequence[float], origin: Sequence[float]) -> Entries:
+    """How napari shows voxels, by the arguments of its layers."""
+    look = {"name": name, "colormap": "gray", "rendering": "mip", "blending": "additive"}
+    return {**look, "scale": spacing, "translate": origin}

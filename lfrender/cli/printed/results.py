@@ -170,6 +170,8 @@ class VolumeResult(_CaptureFigures):
         The first file.
     volumes
         All files.
+    frames
+        Number of volumes: those of a time lapse are in one file.
     shape
         Voxels along z, y and x.
     spacing
@@ -188,6 +190,7 @@ class VolumeResult(_CaptureFigures):
 
     volume: str
     volumes: list[str]
+    frames: int
     shape: list[int]
     spacing: list[float]
     unit: str

@@ -12,6 +12,7 @@ import tifffile
 from PIL import Image, ImageCms
 
 import lfcal
+import lfrender
 
 
 def test_analyze_then_render_with_its_depth_or_without_gives_the_same_picture(
@@ -179,6 +180,21 @@ def test_alpha_marks_the_pixels_nothing_has_seen(ask, tmp_path, figures_of):
     )
     alpha = tifffile.imread(tmp_path / "picture.tif")[..., 3]
     assert np.mean(alpha == 255) == pytest.approx(drawn["valid"])
+
+
+def test_points_and_meshes_of_a_part_lie_in_the_part(ask, tmp_path, figures_of):
+    corners = np.array([200, 80, 320, 190])
+    figures_of(
+        *ask("analyze", "-o", tmp_path / "part.npz", "--roi", *corners),
+        "--ply",
+        tmp_path / "part.ply",
+    )
+    depth = lfrender.DepthMap.load(tmp_path / "part.npz")
+    header, _, data = (tmp_path / "part.ply").read_bytes().partition(b"end_header\n")
+    points = np.frombuffer(data, [("at", "<f4", 3), ("colour", "u1", 3)])
+    low, high = np.sort(corners.reshape(2, 2), axis=0) / depth.pitch
+    assert f"element vertex {len(points)}".encode() in header and len(points) > 100
+    assert (points["at"][:, :2] > low - 1).all() and (points["at"][:, :2] < high + 1).all()
 
 
 def test_opposite_corners_of_a_region_come_in_any_order(

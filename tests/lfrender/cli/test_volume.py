@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from unittest.mock import ANY
 
 import cv2
 import numpy as np
@@ -100,11 +101,18 @@ def test_options_that_make_no_sense_are_refused(files, tmp_path, words, message)
     assert not (tmp_path / "volume.tif").exists()
 
 
-def test_several_flats_want_a_folder(files, tmp_path):
-    done = _run(files / "frames", "-c", files / "camera.json", "-o", tmp_path / "volume.tif")
+def test_several_flats_become_a_time_lapse_of_the_part_in_one_file(files, tmp_path):
+    words = ("-c", files / "camera.json", *SMALL, "--depth-range", -8, 8, "--interval", 2)
+    output = tmp_path / "lapse.ome.tif"
+    done = _run(files / "frames", *words, "--roi", 60, 60, 140, 120, "-o", output, "--json")
 
-    assert done.exit_code == 2
-    assert "give a folder" in " ".join(done.output.split())
+    assert done.exit_code == 0, done.output
+    found = json.loads(done.stdout)
+    assert found["frames"] == 2 and found["volumes"] == [str(output)]
+    assert found["shape"][1:] == [pytest.approx(60 / found["spacing"][1], abs=2), ANY]
+    with tifffile.TiffFile(output) as tiff:
+        pixels = tifffile.xml2dict(tiff.ome_metadata)["OME"]["Image"]["Pixels"]
+    assert (pixels["SizeT"], pixels["TimeIncrement"]) == (2, 2)
 
 
 @pytest.fixture(scope="module")

@@ -77,6 +77,26 @@ def test_a_start_from_the_volume_before_needs_fewer_steps(shells, shell_volume):
     assert again.fit.residual < 1.1 * shell_volume.fit.residual
 
 
+def test_a_part_of_a_volume_is_that_of_the_whole(shells, shell_volume):
+    optics = lfrender.Microscope(**shells.microscope.optics())
+    part = lfrender.reconstruct_volume(
+        shells.flat,
+        shells.calibration,
+        optics,
+        depth_range=(-9, 9),
+        planes=25,
+        roi=(90, 80, 180, 150),
+    )
+    moved = np.subtract(part.origin, shell_volume.origin) / shell_volume.spacing
+    z, y, x = np.rint(moved).astype(int)
+    deep, high, wide = part.data.shape
+    whole = shell_volume.data[z:deep, y : y + high, x : x + wide]
+
+    assert moved == pytest.approx([z, y, x], abs=1e-6)
+    assert high < shell_volume.data.shape[1] and wide < shell_volume.data.shape[2]
+    assert np.corrcoef(part.data.ravel(), whole.ravel())[0, 1] > 0.99
+
+
 def test_results_do_not_depend_on_the_number_of_threads(shells):
     import numba
 
