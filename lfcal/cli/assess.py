@@ -69,6 +69,8 @@ def assess(report: cl.Report, given: Any) -> int:
         paths = [path for path in (given.white, given.scene) if path is not None]
         white, *scenes = read_flats(given, *paths)
         camera = given.camera and load(given.camera, (white.shape[1], white.shape[0]))
+        if camera is not None:
+            report.camera_warnings(given.camera, camera.warnings)
     with report.stage("assess"), cl.name_file_in_errors(given.white):
         found = run(
             white,

@@ -33,6 +33,7 @@ def show(report: cl.Report, given: Any) -> None:
 
         (flat,) = read_flats(given, given.image)
         camera = read_camera(given.camera, (flat.shape[1], flat.shape[0]))
+        report.camera_warnings(given.camera, camera.warnings)
     with report.stage("show"):
         pixels = run(camera, flat)
         look = [place.sentence for place in find_places_to_check(camera, flat)]
@@ -70,6 +71,7 @@ def flatten(report: cl.Report, given: Any) -> None:
         (pixels,) = read_flats(given, given.flat)
         height, width = pixels.shape[:2]
         camera = read_camera(given.camera, (width, height))
+        report.camera_warnings(given.camera, camera.warnings)
     with report.stage("flatten"), cl.name_file_in_errors(given.flat):
         even = camera.flatten(pixels)
         warnings = check_camera(pixels, camera).apply(camera, given.camera).warnings

@@ -225,6 +225,8 @@ class CaptureInput:
 
         size = np.array(pixels.shape[1::-1])
         calibration = load(path, (int(size[0]), int(size[1])))
+        if not is_published(path):
+            self.report.camera_warnings(path, calibration.warnings)
         if isinstance(pixels, np.ndarray):
             checked = self._check(calibration, pixels, path)
             return widen_microimages(checked.with_mosaic_of(pixels), pixels)

@@ -6,7 +6,7 @@ import math
 import os
 import re
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
@@ -54,6 +54,8 @@ class Report:
         #: Of compiling kernels, in the first command of an installation.
         self.compile_seconds = 0.0
         self.warnings: list[str] = []
+        # Of the camera file, which the command that made it has told: the file, and the texts.
+        self._camera: tuple[AnyPath, Collection[str]] = ("", ())
         self._display = ProgressDisplay(quiet)
 
     @contextmanager
@@ -63,9 +65,10 @@ class Report:
         start = time.perf_counter()
         with self.progress(name):
             yield
-        self.seconds[name] = time.perf_counter() - start
+        seconds = time.perf_counter() - start
+        self.seconds[name] = self.seconds.get(name, 0.0) + seconds
         if self.verbose:
-            click.echo(f"{name}: {self.seconds[name]:.3f} s", err=True)
+            click.echo(f"{name}: {seconds:.3f} s", err=True)
 
     @contextmanager
     def progress(self, name: str) -> Iterator[Callable[..., None]]:
@@ -98,6 +101,10 @@ class Report:
         self.compile_seconds = time.perf_counter() - start
         return failed
 
+    def camera_warnings(self, path: AnyPath, warnings: Collection[str]) -> None:
+        """Warnings that a camera file holds: their beginnings are printed, in one line."""
+        self._camera = (path, warnings)
+
     def warn(self, text: str) -> None:
         """Add a warning to those that are printed at the end."""
         self.warnings.append(text)
@@ -125,10 +132,20 @@ class Report:
         if self.as_json:
             echo_json(self.result(**found))
             return
-        for warning in found.pop("warnings"):
+        for warning in self._shorten(found.pop("warnings")):
             echo(f"warning: {warning}", err=True)
         for line in () if self.quiet else sentences or table(found):
             self._echo(line)
+
+    def _shorten(self, warnings: list[str]) -> list[str]:
+        """The warnings, with those of the camera file in one line, if that is shorter."""
+        path, stored = self._camera
+        known = [text for text in warnings if text in stored]
+        heads = "; ".join(re.split(r"[,;:(]", text)[0].strip() for text in known)
+        line = f"{path}: {heads} ('lfcal info {path}' says more)"
+        if len(line) >= len("".join(known)):
+            return warnings
+        return [line, *(text for text in warnings if text not in stored)]
 
     def _echo(self, line: str) -> None:
         echo(line, err=self.as_json or is_piped())

@@ -223,6 +223,28 @@ def test_text_report_puts_warnings_on_stderr_and_quiet_keeps_only_them(capsys):
         assert err == "warning: dark\n"
 
 
+def test_warnings_that_a_camera_file_holds_are_one_line_that_names_where_they_are_whole(capsys):
+    long = "the flat is seen through colour filters, taken for GBRG: " + 20 * "red is a guess "
+    stored = (long, "rims are blurred (by 7 px) " + 20 * "more than they should be ")
+    for as_json in (False, True):
+        report = cl.Report(as_json=as_json)
+        report.camera_warnings("camera.json", stored)
+        report.finish({"pitch": 15.4, "warnings": [*stored, "the lattice was moved"]})
+        out, err = capsys.readouterr()
+        if as_json:
+            assert json.loads(out)["warnings"] == [*stored, "the lattice was moved"]
+        else:
+            assert err.splitlines() == [
+                "warning: camera.json: the flat is seen through colour filters; rims are blurred "
+                "('lfcal info camera.json' says more)",
+                "warning: the lattice was moved",
+            ]
+    report = cl.Report()
+    report.camera_warnings("camera.json", ("the lattice was stated, not measured",))
+    report.finish({"pitch": 15.4, "warnings": ["the lattice was stated, not measured"]})
+    assert capsys.readouterr().err == "warning: the lattice was stated, not measured\n"
+
+
 def test_compiling_is_announced_once_and_its_seconds_are_told_apart(capsys, monkeypatch):
     compiled = []
     monkeypatch.setattr(compile_ahead, "is_compiled", lambda: bool(compiled))
