@@ -96,16 +96,17 @@ def find_lens_types(
         else estimate_coarse_disparity(crops.picture, sample)
     )
     strength = _strengths(sample, features, disparity, white, others)
+    twos = np.array([period == 2 for period, *_ in _MOSAICS])
+    # Two patterns of pairs at once are four types.
+    four = np.count_nonzero(strength[twos]) > 1
+    if not white:
+        strength[_rows_of_equals(lattice) & ~(twos & four)] = 0
     if not strength.any():
         return None
     strongest = int(strength.argmax())
     period, p, q = _MOSAICS[strongest]
     i, j = np.mgrid[0:period, 0:period]
-    # Two patterns of pairs at once are four types.
-    pairs = (
-        period == 2
-        and sum(n == 2 and power > 0 for (n, *_), power in zip(_MOSAICS, strength, strict=True)) > 1
-    )
+    pairs = period == 2 and four
     cell = i * period + j if pairs else (p * i + q * j) % period
     inner_loss = sample.subtract_neighbours(features.inner_loss)
     beats = _beats(_VECTORS[[strongest]], lattice)[0]
@@ -223,6 +224,11 @@ def _differences(sample: LensSample, feature: Floats) -> Floats:
     values = sample.subtract_neighbours(feature)
     limit = outlier_limit(values[np.isfinite(values)])
     return np.clip(np.nan_to_num(values), -limit, limit)
+
+
+def _rows_of_equals(lattice: Lattice) -> Booleans:
+    """(mosaics,) whether neighbours are of one type: no array is made so, lines of text look so."""
+    return np.array([((lattice.steps @ (p, q)) % n == 0).any() for n, p, q in _MOSAICS])
 
 
 def _power(values: Floats, waves: NDArray[np.complex128]) -> Floats:

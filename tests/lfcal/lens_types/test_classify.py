@@ -104,6 +104,22 @@ def test_scene_that_repeats_every_third_lens_is_not_taken_for_types(whites):
     assert np.ptp([np.nanmean(contrast[third == kind]) for kind in range(3)]) > 0.2
 
 
+@pytest.mark.parametrize(("shape", "step"), [("SQUARE", (0, 1)), ("HEXAGON", (1, 0))])
+def test_rows_of_text_are_not_taken_for_types(whites, shape, step):
+    basis = whites.turned(getattr(whites, shape), 22.5, 3)
+    size = (580, 520)
+    image, origin = whites.white_image(basis, size)
+    offset = np.stack(np.mgrid[: size[1], : size[0]][::-1], -1) - origin
+    index = np.rint(offset @ np.linalg.inv(basis))
+    row = (index @ step).astype(int) % 3
+    # Letters: fine waves of a phase of their own in each lens, strong in each third row.
+    phase = np.random.default_rng(5).uniform(0, 2 * np.pi, (99, 99))
+    within = (offset - index @ basis)[..., 0] / 6
+    own = phase[tuple(np.moveaxis(index.astype(int), -1, 0) % 99)]
+    scene = 1 + np.array([0.1, 0.2, 0.4])[row] * np.sin(2 * np.pi * within + own)
+    assert search(image * scene, lfcal.Lattice(origin, basis, size, 10.3)) is None
+
+
 @pytest.mark.parametrize(("shape", "pitch"), [("SQUARE", 19.5), ("HEXAGON", 21.0)])
 def test_white_image_of_equal_lenses_has_one_type_at_any_beat_with_the_pixels(whites, shape, pitch):
     basis = whites.turned(getattr(whites, shape), pitch, 0)
