@@ -21,7 +21,7 @@ from ..lattice.robust_fit import MAD_TO_SIGMA, SIGNIFICANT
 from ..runtime.arrays import ENOUGH_PIXELS, NINE_TENTHS, Booleans, Integers, Singles, evenly
 from .lens_light import LensLights
 
-__all__ = ["find_defects"]
+__all__ = ["are_rims", "find_defects"]
 
 # Standard deviation of normal values over the absolute deviation that a tenth of them exceed.
 _TENTH_TO_SIGMA = 1 / NormalDist().inv_cdf(NINE_TENTHS[2])
@@ -33,6 +33,8 @@ _SQUARES = (3, 7)
 # With 0.2 to 0.3 px no rim of 22 simulated white images is a defect and no hot pixel is lost, with
 # 0.1 px up to 35 are, with 0.4 px 3 % of the hot pixels are lost at 8 bits.
 _PLACE = 0.25
+# [px] Width of the rings in which defects are counted; rims lie in up to three of them.
+_RING = 0.5
 _AROUND = np.ones((3, 3), np.uint8)
 # Places that are compared at once, so that memory does not grow with the flat.
 _PART = 20_000
@@ -80,9 +82,38 @@ def find_defects(picture: Singles, lattice: Lattice, lights: LensLights) -> tupl
             part = places[start : start + _PART]
             x, y = part[_differs_from_lenses(values, part, lattice)].T
             bad[y, x] = True
+        if values is residual:
+            bad[bad] = ~are_rims(bad, np.isfinite(residual), lattice)
     pixels = np.argwhere(bad)[:, ::-1].astype(np.int32)
     unlit = lattice.indices()[lights.unlit].astype(np.int32)
     return Defects(pixels, unlit), float(outside.sum() / max(np.isfinite(residual).sum(), 1))
+
+
+def are_rims(bad: Booleans, lit: Booleans, lattice: Lattice) -> Booleans:
+    """Which defects (n,) lie at, or next to, a distance from the centre that many lenses have.
+
+    Where values are cut off, the pixels of rims are lit or dark by chance.
+    """
+    rows, columns = np.nonzero(lit)
+    some = evenly(len(rows), ENOUGH_PIXELS)
+    ring = _rings(np.column_stack([columns[some], rows[some]]), lattice)[1]
+    rings = int(np.ceil(lattice.pitch / _RING))
+    share = np.bincount(ring, minlength=rings) / max(len(ring), 1)
+    rows, columns = np.nonzero(bad)
+    lens, ring = _rings(np.column_stack([columns, rows]), lattice)
+    # A speck of dust covers many pixels of one lens.
+    seen = np.unique(np.column_stack([lens, ring]), axis=0)[:, -1]
+    often = np.bincount(seen, minlength=len(share))
+    expected = len(ring) * share
+    rims = often > expected + SIGNIFICANT * np.sqrt(expected + 1)
+    return np.convolve(rims, np.ones(3), "same")[ring] > 0
+
+
+def _rings(places: Integers, lattice: Lattice) -> tuple[Integers, Integers]:
+    """Indices (n, 2) of the lenses of places (n, 2) [px], and which ring around their centres."""
+    lens = np.rint(lattice.to_index(places)).astype(np.int64)
+    distance = np.linalg.norm(places - lattice.points(lens), axis=1)
+    return lens, (distance / _RING).astype(np.int64)
 
 
 def _compute_residuals(

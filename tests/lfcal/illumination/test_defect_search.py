@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 import lfcal
+from lfcal.illumination.defect_search import are_rims
 
 
 def test_hot_pixels_are_found_and_noise_is_not(calibrated_white):
@@ -127,3 +128,24 @@ def test_rims_drawn_with_few_rays_a_pixel_are_no_defects():
     found = lfcal.calibrate(white, kind="white").defects.pixels
     seen = np.isin(found[:, 1] * white.shape[1] + found[:, 0], hot)
     assert seen.sum() >= 0.9 * len(np.unique(hot)) and (~seen).sum() <= 2
+
+
+def test_defects_at_one_distance_from_many_centres_are_rims():
+    rng = np.random.default_rng(4)
+    lattice = lfcal.Lattice([9.0, 6.0], [[20.4, 0], [0, 20.4]], (700, 600), 3.0)
+    angle = rng.uniform(0, 2 * np.pi, 60)
+    rims = lattice.centres()[rng.permutation(len(lattice))[:60]]
+    rims = rims + 2.3 * np.stack([np.cos(angle), np.sin(angle)], -1)
+    bad = np.zeros((600, 700), bool)
+    anywhere = rng.integers(0, (700, 600), (80, 2))
+    # One speck of dust on a rim.
+    x, y = lattice.centres()[500].astype(int)
+    dust = np.stack(np.mgrid[x + 5 : x + 9, y + 5 : y + 9], -1).reshape(-1, 2)
+    for places in (anywhere, dust):
+        bad[tuple(places.T[::-1])] = True
+    assert not are_rims(bad, np.ones_like(bad), lattice).any()
+    column, row = np.rint(rims).astype(int).clip(0, (699, 599)).T
+    bad[row, column] = True
+    bad[bad] = ~are_rims(bad, np.ones_like(bad), lattice)
+    assert bad[row, column].mean() < 0.05
+    assert bad[tuple(anywhere.T[::-1])].mean() > 0.9 and bad[tuple(dust.T[::-1])].all()
