@@ -21,6 +21,7 @@ __all__ = [
     "magnification_at",
     "name_depth",
     "name_ends",
+    "slider_limits",
 ]
 
 #: Ends of a scale of depths in the order of `depth_order`: far and near.
@@ -29,6 +30,12 @@ DepthLimits = Place
 _LIMITS_OF_NONE = (0.1, 1.9)
 # Least difference of both ends: on a scale of one plane, errors would look like depth.
 _NARROWEST = 0.05
+# Smallest patch that a slider of depths reaches [pitches].
+_LEAST_PATCH = 0.04
+# Room beyond the depths of the lenses at both ends of a slider, and the least range of depths that
+# it is a share of.
+_ROOM = 0.15
+_LEAST_RANGE = 0.2
 
 
 def depth_order(patch_size: Array, pitch: float) -> Array:
@@ -48,6 +55,19 @@ def depth_limits(depth: DepthMap) -> DepthLimits:
     far, near = np.percentile(known, MOST, method="nearest").tolist()
     missing = max(_NARROWEST - (near - far), 0.0)
     return far - missing / 2, near + missing / 2
+
+
+def slider_limits(depth: DepthMap) -> DepthLimits:
+    """Far and near end of a slider of depths, with some room beyond those of 98 % of the lenses.
+
+    Depths that were filled in count if there are no others.
+    """
+    resolved = np.isfinite(depth.patch_size)
+    resolved |= not resolved.any()
+    known = depth_order(depth.filled_patch_size[resolved].astype(np.float64), depth.pitch)
+    far, near = np.percentile(known, MOST, method="nearest").tolist()
+    more = _ROOM * max(near - far, _LEAST_RANGE)
+    return max(far - more, _LEAST_PATCH), min(near + more, 2 - _LEAST_PATCH)
 
 
 def describe_scale(limits: DepthLimits | None) -> str:

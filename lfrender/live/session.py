@@ -24,9 +24,11 @@ from lfcal.runtime.arrays import white_of
 from lfcal.runtime.light.tone import Exposure
 
 from ..data.depth_map import DepthMap, default_scale
+from ..data.depth_order import slider_limits
 from ..data.rendering import Rendering
 from ..depth.analyze import analyze
 from ..flat.demosaicing import demosaic
+from ..flat.lens_graph import nearest_lens
 from ..output.depth_picture import depth_picture
 from ..output.finish import Finish, flat_picture
 from ..rendering.refocus import refocus
@@ -67,6 +69,8 @@ _DEPTH_SCALE = 4.0
 
 #: A place in a picture, as shares of its width and height.
 Place = tuple[float, float]
+#: What is in focus: a place, or a patch size [px].
+Focus = Place | float
 
 
 @dataclass
@@ -79,7 +83,7 @@ class View:
     depth: DepthMap | None = None
     sharp: Rendering | None = None
     finish: Finish = field(default_factory=lambda: Finish(_SHOWN))  # of what is shown
-    jpegs: dict[Any, bytes] = field(default_factory=dict)
+    jpegs: dict[str, tuple[Focus, bytes]] = field(default_factory=dict)
 
     @cached_property
     def light(self) -> dict[str, Any]:
@@ -117,8 +121,36 @@ class View:
         )
         return self.camera is None or needed is not None
 
-    def draw(self, kind: str, at: Place = (0.5, 0.5)) -> NDArray[Any]:
-        """The picture with 8 bits; `at` is the place in focus, as shares of width and height."""
+    @property
+    def knows_depth(self) -> bool:
+        """Whether `patch_size` and `depth_at` have an answer."""
+        return self.camera is not None and self.depth is not None
+
+    def patch_size(self, focus: Focus) -> float:
+        """The patch size in focus [px]."""
+        if isinstance(focus, float):
+            return focus
+        return float(self.depth_at(focus)["patch_size"])
+
+    def depth_at(self, place: Place) -> dict[str, Any]:
+        """Depth at a place: patch size [px], confidence, and distance [m] if the optics are known.
+
+        Confidence is 0 where the lens has no depth of its own.
+        """
+        assert self.camera is not None and self.depth is not None
+        depth = self.depth
+        point = (np.array(place) * self.camera.image_size - 0.5)[None]
+        size = float(depth.surface.at(point)[0])
+        lens = nearest_lens(self.camera.lattice.centres(), point)[0]
+        distance = None
+        if self.camera.optics is not None:
+            ahead = float(self.camera.optics.distance(np.array([size / depth.pitch]), point)[0])
+            distance = ahead if np.isfinite(ahead) else None
+        confidence = 0.0 if depth.filled[lens] else float(np.nan_to_num(depth.confidence[lens]))
+        return {"patch_size": size, "confidence": confidence, "distance": distance}
+
+    def draw(self, kind: str, focus: Focus = (0.5, 0.5)) -> NDArray[Any]:
+        """The picture with 8 bits."""
         if self.camera is None or kind == "raw":
             picture = self.raw
         elif kind == "traditional":
@@ -128,10 +160,9 @@ class View:
             return np.asarray(depth_picture(self.depth, _DEPTH_SCALE))
         elif kind == "focus":
             assert self.depth is not None
-            place = np.array(at) * self.camera.image_size - 0.5
-            size = float(self.depth.surface.at(place[None])[0])
             # Blur by depth, for which refocus takes the depth map, takes too long here.
             scale = default_scale(self.depth)
+            size = self.patch_size(focus)
             picture = refocus(self.flat, self.camera, size, scale=scale)
         else:
             assert self.sharp is not None
@@ -148,18 +179,19 @@ class View:
         whole = np.ones((1, 1), bool)
         return Rendering(pixels, np.eye(2, 3), whole, 1.0, self.white, encoded=encoded)
 
-    def jpeg(self, kind: str, at: Place = (0.5, 0.5)) -> bytes:
-        """The same as a JPEG file; drawn once for all who ask."""
+    def jpeg(self, kind: str, focus: Focus = (0.5, 0.5)) -> bytes:
+        """The same as a JPEG file; drawn once for all who ask, but for what is in focus."""
         import cv2
 
-        key = (kind, at if kind == "focus" else None)
-        if key not in self.jpegs:
-            pixels = self.draw(kind, at)
+        made_for, content = self.jpegs.get(kind, (None, b""))
+        if made_for is None or (kind == "focus" and made_for != focus):
+            pixels = self.draw(kind, focus)
             if pixels.ndim == 3:
                 pixels = cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR)
             _, data = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
-            self.jpegs[key] = data.tobytes()
-        return self.jpegs[key]
+            content = data.tobytes()
+            self.jpegs[kind] = focus, content
+        return content
 
 
 def _in_colour(shot: Shot, camera: Calibration) -> NDArray[Any]:
@@ -180,6 +212,14 @@ def _in_colour(shot: Shot, camera: Calibration) -> NDArray[Any]:
     ):
         return demosaic(shot.pixels, camera)
     return cv2.demosaicing(shot.pixels, getattr(cv2, f"COLOR_Bayer{camera.mosaic}2RGB_VNG"))
+
+
+def _planes(depth: DepthMap, before: dict[str, float] | None) -> dict[str, float]:
+    """Ends of the slider of planes, which grow with the scene, and the pitch [px]."""
+    far, near = (depth.pitch * end for end in slider_limits(depth))
+    if before is not None:
+        far, near = min(far, before["far"]), max(near, before["near"])
+    return {"far": far, "near": near, "pitch": depth.pitch}
 
 
 class Session:
@@ -209,6 +249,8 @@ class Session:
         self.shot: Shot | None = None  # the newest one, whether it was analysed or not
         self.latency, self.still, self.message, self.saved = 0.0, 0.0, "", ""
         self.scale: float | None = None
+        #: Ends of the slider of planes and the pitch, once a depth is known [px].
+        self.planes: dict[str, float] | None = None
         self._exposure = exposure
         self._finish = Finish(_SHOWN, exposure=exposure)
         self._correct = correct
@@ -233,7 +275,7 @@ class Session:
         self._thread.start()
 
     def picture(
-        self, kind: str, after: int, at: Place = (0.5, 0.5), timeout: float = 5.0
+        self, kind: str, after: int, focus: Focus = (0.5, 0.5), timeout: float = 5.0
     ) -> tuple[View, bytes] | None:
         """The JPEG of a frame later than number `after`; None if there is none in time."""
         end = time.monotonic() + timeout
@@ -248,7 +290,7 @@ class Session:
             else:
                 return None
         with self._drawing:
-            data = view.jpeg(kind, at)
+            data = view.jpeg(kind, focus)
         self.latency = time.monotonic() - view.shot.arrived
         return view, data
 
@@ -270,6 +312,7 @@ class Session:
             "latency": self.latency,
             "still": self.still,
             "camera": "\n".join([self.about, *(camera.warnings if camera else ()), *self.findings]),
+            "planes": self.planes,
             "saved": self.saved,
             "recording": recorder and recorder.told,
             "message": grabber.message or (recorder and recorder.message) or self.message,
@@ -295,7 +338,8 @@ class Session:
                     raise OutputError(recorder.message)
                 self.saved = str(recorder.path)
             elif name == "calibrate" and self.grabber.recorder is None:
-                self.camera, self.scale, self.findings, self._tried = None, None, [], 0.0
+                self.camera, self.scale, self.planes = None, None, None
+                self.findings, self._tried = [], 0.0
 
     def close(self) -> None:
         """Stop, and close what is being recorded and the source."""
@@ -392,6 +436,8 @@ class Session:
             view.depth = depth = analyze(view.flat, camera, self.preset, **options)
             self.still = float(depth.saved.get("still", 0.0)) if before else 0.0
             message = find_depth_problem(depth) or ""
+            if not message:
+                self.planes = _planes(depth, self.planes)
             if self.scale is None and not message and not view.shot.recorded:
                 self.scale = default_scale(depth)
             if self._watched("sharp"):

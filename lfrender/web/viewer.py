@@ -17,7 +17,7 @@ from lfcal import Calibration, LightFieldError
 from lfcal.runtime.output_file import atomic_write, make_folder, refuse_leftovers
 
 from ..data.depth_map import DepthMap
-from .templates import Markup, fill, read_asset
+from .templates import Markup, fill, import_map, read_asset
 from .viewer_scene import viewer_scene
 
 __all__ = ["FlatPages", "viewer_page", "write_viewer"]
@@ -54,11 +54,6 @@ def viewer_page(
 
 def _page(title: str, data: dict[str, str] | None = None, **place: Any) -> str:
     """The page, which holds or loads its data; `place` is the number of the flat among several."""
-    # Modules are data URLs: browsers do not fetch files for a page that was opened from a disk.
-    urls = {}
-    for name in _MODULES:
-        script = base64.b64encode(read_asset(f"{name}.js").encode()).decode()
-        urls[f"lfrender/{name}"] = f"data:text/javascript;base64,{script}"
     inside = ""
     if data is not None:
         inside = f"<script>globalThis.lightFieldFiles = {json.dumps(data)};</script>"
@@ -68,7 +63,7 @@ def _page(title: str, data: dict[str, str] | None = None, **place: Any) -> str:
         style=read_asset("viewer.css"),
         shader=read_asset("light_field.frag"),
         prefilter=read_asset("prefilter.frag"),
-        modules=Markup(json.dumps({"imports": urls})),
+        modules=import_map(_MODULES),
         data=Markup(inside),
         **{"folder": "data", "flats": 1, "status": "Loading", **place},
     )

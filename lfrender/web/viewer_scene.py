@@ -11,10 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfcal import Calibration, LightFieldError
-from lfcal.runtime.arrays import MOST
 
 from ..data.depth_map import DepthMap, check_depth, default_scale
-from ..data.depth_order import depth_limits, depth_order, name_ends
+from ..data.depth_order import depth_limits, depth_order, name_ends, slider_limits
 from ..data.surface import edge_step
 from ..detail.blur import averaged_squares, choose_blur, shows_both_modes
 from ..flat.gray_flat import correction_tables, has_uneven_lenses
@@ -39,12 +38,6 @@ _CODES = 65535
 _LAYERS = 256
 # Lenses whose depths differ by less than this are one thing in focus [pitches].
 _SAME_DEPTH = 0.03
-# Smallest patch that the slider of depth reaches [pitches].
-_LEAST_PATCH = 0.04
-# Room beyond the depths of the lenses at both ends of the slider, and the least range of depths
-# [pitches] that it is a share of.
-_ROOM = 0.15
-_LEAST_RANGE = 0.2
 # Weight of a lens without confidence, so that a flat without any has a middle.
 _LEAST_WEIGHT = 1e-3
 
@@ -246,18 +239,15 @@ def _planes(depth: DepthMap) -> tuple[list[float], float]:
     known = depth.filled_patch_size[resolved].astype(float)
     pitch = depth.pitch
     near = pitch * depth_order(known, pitch)
-    low, high = np.percentile(near, MOST, method="nearest")
     order = np.argsort(near)
     near = near[order]
     weights = np.maximum(np.nan_to_num(depth.confidence[resolved][order]), _LEAST_WEIGHT)
     summed = np.concatenate([[0.0], np.cumsum(weights)])
     first, last = (np.searchsorted(near, near + side * _SAME_DEPTH * pitch) for side in (-1, 1))
     middle = near[np.argmax(summed[last] - summed[first])]
-    more = _ROOM * max(high - low, _LEAST_RANGE * pitch)
-    least = _LEAST_PATCH * pitch
-    limits = np.clip([low - more, high + more], least, 2 * pitch - least)
-    middle = float(np.clip(middle, *limits))
-    return limits.tolist(), middle if middle < pitch else middle - 2 * pitch
+    limits = [pitch * end for end in slider_limits(depth)]
+    middle = float(np.clip(middle, limits[0], limits[1]))
+    return limits, middle if middle < pitch else middle - 2 * pitch
 
 
 def _base64(values: ArrayLike, dtype: Any) -> str:

@@ -1,7 +1,8 @@
 // The controls beside the picture; those that do nothing as things are, are off.
 
 import { fileName, filmType, fullFrame } from "lfrender/files";
-import { depthOrder, modeName, patchSize } from "lfrender/geometry";
+import { depthOrder, patchSize } from "lfrender/geometry";
+import { describePlane } from "lfrender/readout";
 import { bytes } from "lfrender/scene";
 
 const $ = id => document.getElementById(id);
@@ -10,13 +11,6 @@ const NAMES = { focus: "one depth in focus", range: "sharp in a range", sharp: "
 
 export function showStatus(words) {
   $("status").textContent = words;
-}
-
-// The depth of a slider in words.
-function describe(near, pitch, exactly) {
-  const s = patchSize(near, pitch), words = `${modeName(s)}, M ${(pitch / Math.abs(s)).toFixed(2)}`;
-  if (!exactly) return words;
-  return `${words}, s ${s > 0 ? "+" : "−"}${Math.abs(s).toFixed(2)} px`;
 }
 
 export function controlPage(viewer) {
@@ -85,7 +79,7 @@ export function showSettings(viewer) {
   const aside = q.some(n => n) || settings.stereo !== "";
   const near = { plane: depthOrder(plane, pitch), from: range[0], to: range[1] };
   for (const id of ["plane", "from", "to"]) {
-    const words = describe(near[id], pitch, id === "plane");
+    const words = describePlane(patchSize(near[id], pitch), pitch, id === "plane");
     $(id).value = near[id];
     $(id).setAttribute("aria-valuetext", words);
     $(`${id}-value`).textContent = words;

@@ -32,9 +32,15 @@ export function length(metres) {
   return n < 0.01 ? `${(1000 * n).toFixed(2)} mm` : n < 1 ? `${(1000 * n).toFixed(1)} mm` : `${n.toFixed(n < 10 ? 3 : 1)} m`;
 }
 
+// The depth of a slider in words.
+export function describePlane(s, pitch, exactly) {
+  const words = `${modeName(s)}, M ${(pitch / Math.abs(s)).toFixed(2)}`;
+  return exactly ? `${words}, s ${signed(s)} px` : words;
+}
+
 export function describePlace(place, { pitch }) {
   if (!place.sure) return "no depth of its own here";
-  const words = [modeName(place.s), `M ${(pitch / Math.abs(place.s)).toFixed(2)}`, `s ${signed(place.s)} px`, `${Math.round(100 * place.sure)} % sure`];
+  const words = [describePlane(place.s, pitch, true), `${Math.round(100 * place.sure)} % sure`];
   if (place.position) words.push(`${length(place.position[2])} away`);
   return words.join(", ");
 }

@@ -402,3 +402,23 @@ def test_the_light_of_a_frame_tells_clipping_and_focus(house):
     half[:, 45:] = 4095
     assert light(half, white=4095.0)["clipped"] == pytest.approx(0.5, abs=0.02)
     assert light(half)["clipped"] == 0
+
+
+def test_depth_is_asked_for_by_place_and_pictures_by_plane(session):
+    live, _ = session
+    with LiveServer(live, "camera") as server:
+        assert ask(server, "/depth")[0] == 204
+        assert live.status()["planes"] is None
+        live.picture("focus", 0)
+        view = live.view
+        status, content = ask(server, "/depth?x=0.4&y=0.6")
+        assert status == 200
+        known = json.loads(content)
+        assert known["patch_size"] == pytest.approx(view.patch_size((0.4, 0.6)))
+        assert 0 <= known["confidence"] <= 1 and known["distance"] is None
+        planes = live.status()["planes"]
+        assert 0 < planes["far"] < planes["near"] < 2 * planes["pitch"]
+        by_plane = ask(server, f"/frame?kind=focus&plane={known['patch_size']}")
+        assert by_plane == ask(server, "/frame?kind=focus&x=0.4&y=0.6")
+        assert ask(server, "/depth?x=-1")[0] == ask(server, "/frame?kind=focus&plane=far")[0] == 400
+        assert ask(server, "/frame?kind=focus&plane=1e9")[0] == 500
