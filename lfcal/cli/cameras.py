@@ -10,14 +10,11 @@ import click
 
 from ..runtime import command_line as cl
 from ..runtime.output_file import check_output
-from .figures import describe, describe_blur, summarise
+from .figures import describe, summarise, tell_all
 from .inputs import SIZE_OPTIONS, read_camera, read_image, read_size
 from .results import CameraResult, CompareResult, ConvertResult
 
 __all__ = ["compare", "convert", "info"]
-
-# Figures that only `--json` prints; "proof" tells the evidence in words.
-_FOR_PROGRAMS = ("evidence", "warnings")
 
 
 @cl.command("lfcal info camera.json", "lfcal info calibration.xml --image flat.png")
@@ -34,11 +31,7 @@ def info(report: cl.Report, given: Any) -> None:
 
         warnings = check_camera(pixels, camera).warnings
         camera = replace(camera, warnings=(*camera.warnings, *warnings))
-    figures = {"camera": str(given.camera), **describe(camera)}
-    shown = {name: value for name, value in figures.items() if name not in _FOR_PROGRAMS}
-    if camera.lens_blur is not None:
-        shown["lens_blur"] = describe_blur(camera.lens_blur)
-    report.finish(figures, *cl.table(shown))
+    report.finish({"camera": str(given.camera), **describe(camera)}, *tell_all(camera))
 
 
 @cl.command("lfcal compare monday.json friday.json")
@@ -64,6 +57,8 @@ def compare(report: cl.Report, given: Any) -> None:
     cameras = [read_camera(path, size) for path in paths]
     found = run(*cameras)
     field = dict(zip(REGIONS, found.field.reshape(-1, 2).round(6), strict=True))
+    x, y = found.mean_shift
+    parts = "; ".join(f"{name} x {dx:+.4f}, y {dy:+.4f}" for name, (dx, dy) in field.items())
     warnings = [
         f"{path}: {text}"
         for path, camera in zip(paths, cameras, strict=True)
@@ -80,7 +75,13 @@ def compare(report: cl.Report, given: Any) -> None:
             "rotation_degrees": round(found.rotation_degrees, 7),
             "field": field,
             "warnings": warnings,
-        }
+        },
+        f"The centres of {given.b} lie {found.rms:.4f} px (RMS) from those of {given.a}, at most "
+        f"{found.max:.4f} px.",
+        f"They are shifted by x {x:+.4f}, y {y:+.4f} px on average, turned by "
+        f"{found.rotation_degrees:+.5f} degrees (clockwise), and their pitch is {found.scale:.7f} "
+        "times as large.",
+        f"Shift in each part of the flat [px]: {parts}.",
     )
 
 

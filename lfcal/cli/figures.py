@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from ..runtime.types import Entries
@@ -11,7 +13,20 @@ if TYPE_CHECKING:
     from ..camera.lens_types import LensBlur
     from ..camera.optics import Optics
 
-__all__ = ["describe", "describe_blur", "describe_optics", "summarise"]
+__all__ = ["describe", "describe_blur", "describe_optics", "summarise", "tell_all"]
+
+# Lengths that all optics have, in words.
+_DISTANCES = {
+    "focal_length": "focal length",
+    "mla_distance": "main lens to microlenses",
+    "sensor_distance": "microlenses to sensor",
+}
+# Units of the parameters of optics that have one.
+_UNITS = {
+    **dict.fromkeys((*_DISTANCES, "pupil"), "mm"),
+    **dict.fromkeys(("principal_x", "principal_y"), "px"),
+    **dict.fromkeys(("tilt_x", "tilt_y"), "rad"),
+}
 
 
 def describe(camera: Calibration) -> Entries:
@@ -59,23 +74,78 @@ def describe(camera: Calibration) -> Entries:
 
 def describe_optics(optics: Optics) -> Entries:
     """Focal length and distances [mm], and all else that was measured, with standard errors."""
+    figures: Entries = {}
+    for name, value, error in _measured(optics):
+        unit = _UNITS.get(name, "")
+        key = f"{name}_{unit}" if unit in ("mm", "px") else name
+        figures[key] = float(f"{value:.8g}")
+        if error > 0:
+            figures[f"{key}_error"] = float(f"{error:.2g}")
+    return {**figures, "microlens_focal_lengths_mm": optics.microlens_focal_lengths}
+
+
+def _measured(optics: Optics) -> Iterator[tuple[str, float, float]]:
+    """Name, value and standard error of focal length, distances, and all else with an error."""
     from ..camera.optics import OPTICS_PARAMETERS
 
-    lengths = ("focal_length", "mla_distance", "sensor_distance", "pupil")
-    figures: Entries = {}
-    for name, value, error in zip(
-        OPTICS_PARAMETERS, optics.parameters, optics.standard_errors, strict=True
-    ):
-        unit = ""
-        if name in lengths:
-            unit = "_mm"
-        elif name.startswith("principal"):
-            unit = "_px"
-        if error > 0 or name in lengths[:3]:
-            figures[name + unit] = float(f"{value:.8g}")
+    errors = optics.standard_errors
+    for number, name in enumerate(OPTICS_PARAMETERS):
+        if errors[number] > 0 or number < len(_DISTANCES):
+            yield name, optics.parameters[number], errors[number]
+
+
+def _tell_optics(optics: Optics) -> str:
+    """All that was measured of the optics, with standard errors, in a sentence."""
+    told = []
+    for name, value, error in _measured(optics):
+        text = f"{value:.5g}"
         if error > 0:
-            figures[name + unit + "_error"] = float(f"{error:.2g}")
-    return {**figures, "microlens_focal_lengths_mm": optics.microlens_focal_lengths}
+            # Two digits of the error.
+            digits = max(0, 1 - math.floor(math.log10(error)))
+            text = f"{value:.{digits}f} +- {error:.{digits}f}"
+        words = _DISTANCES.get(name, name.replace("_", " "))
+        told.append(f"{words} {text} {_UNITS.get(name, '')}".rstrip())
+    return f"Optics: {', '.join(told)}; pixels of {1000 * optics.pixel:.4g} um."
+
+
+def tell_all(camera: Calibration) -> list[str]:
+    """All that is in a camera file, in sentences; what is not known is left out."""
+    from ..lattice.lattice import describe_orientation
+
+    lattice = camera.lattice
+    types = camera.lens_types
+    sentences = summarise(camera)
+    width, height = camera.image_size
+    (x, y), steps = lattice.origin, [f"({dx:+.4f}, {dy:+.4f})" for dx, dy in lattice.basis]
+    rows = describe_orientation(lattice)[1]
+    sentences[1:1] = [
+        f"Flats have {width} x {height} px. Rows of lenses are {rows}; microimage (0, 0) has its "
+        f"centre at x {x:.3f}, y {y:.3f} px, and the next ones lie {' and '.join(steps)} px from "
+        f"it. Microimages are used up to {lattice.radius:.2f} px from their centres.",
+    ]
+    if camera.lenses_used:
+        sentences.append(
+            f"{camera.lenses_used:,} microimages were fitted, and lie {camera.residual_rms:.3f} px "
+            "(RMS) from the lattice."
+        )
+    if types is not None:
+        cell = ", ".join(" ".join(map(str, row)) for row in types.cell)
+        told = f"Lens types repeat as {cell}"
+        if camera.source != "published":
+            told += f", confidence {100 * types.confidence:.0f} %"
+        foci = [
+            f"type {number} at s = {focus:.3f} D"
+            for number, focus in enumerate(types.to_dict()["focus"])
+            if focus is not None
+        ]
+        if foci:
+            told += f"; in focus are {', '.join(foci)}"
+        sentences.append(f"{told}.")
+    if camera.mosaic is not None:
+        sentences.append(f"Colour filters of the top left 2 x 2 pixels: {camera.mosaic}.")
+    if camera.optics is not None:
+        sentences.append(_tell_optics(camera.optics))
+    return sentences
 
 
 def summarise(camera: Calibration) -> list[str]:

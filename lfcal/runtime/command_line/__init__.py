@@ -13,7 +13,7 @@ from .program import (
     report_options,
     with_options,
 )
-from .report import Report, echo, name_file_in_errors, table
+from .report import Report, echo, name_file_in_errors
 from .result import Result, describe_keys, json_schema
 
 __all__ = [
@@ -38,6 +38,5 @@ __all__ = [
     "output_option",
     "report_options",
     "several_inputs",
-    "table",
     "with_options",
 ]

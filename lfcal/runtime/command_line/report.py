@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import re
 import time
@@ -124,17 +123,16 @@ class Report:
         """Print the warnings among the figures on stderr, and sentences that sum the figures up.
 
         With `--json`, print all figures, which are the fields of `result`, with the seconds of all
-        stages; without any sentence, print them as a table.
+        stages.
         """
         found = {**figures, "warnings": [*figures.get("warnings", ()), *self.warnings]}
-        if self.seconds or self.as_json:
-            found["seconds"] = {name: round(value, 4) for name, value in self.seconds.items()}
         if self.as_json:
-            echo_json(self.result(**found))
+            seconds = {name: round(value, 4) for name, value in self.seconds.items()}
+            echo_json(self.result(**found, seconds=seconds))
             return
-        for warning in self._shorten(found.pop("warnings")):
+        for warning in self._shorten(found["warnings"]):
             echo(f"warning: {warning}", err=True)
-        for line in () if self.quiet else sentences or table(found):
+        for line in () if self.quiet else sentences:
             self._echo(line)
 
     def _shorten(self, warnings: list[str]) -> list[str]:
@@ -149,14 +147,6 @@ class Report:
 
     def _echo(self, line: str) -> None:
         echo(line, err=self.as_json or is_piped())
-
-
-def table(figures: Mapping[str, Any]) -> list[str]:
-    """Lines with the names of figures and their values."""
-    width = max(map(len, figures)) + 2
-    return [
-        f"{name.replace('_', ' '):{width}}{_text(value, width)}" for name, value in figures.items()
-    ]
 
 
 @contextmanager
@@ -183,19 +173,3 @@ def _built_in(value: Any) -> Any:
     if isinstance(value, os.PathLike):
         return str(value)
     return value.tolist()
-
-
-def _text(value: Any, indent: int = 0) -> str:
-    if hasattr(value, "tolist"):
-        value = value.tolist()
-    if isinstance(value, Mapping):
-        return f"\n{' ' * indent}".join(
-            f"{key.replace('_', ' ')} {_text(item)}" for key, item in value.items()
-        )
-    if isinstance(value, (list, tuple)):
-        return "  ".join(map(_text, value))
-    if value is None or (isinstance(value, float) and not math.isfinite(value)):
-        return "unknown"
-    if isinstance(value, float):
-        return f"{value:.5g}"
-    return str(value)

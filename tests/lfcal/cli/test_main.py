@@ -89,7 +89,8 @@ def test_info_prints_lens_types_optics_with_their_errors_and_defects(house, tmp_
     types = lfcal.LensTypes([[0, 1], [1, 0]], True, [-0.4, float("nan")], 0.9)
     defects = Defects([[17, 4], [80, 31]], [[0, 1]])
     camera = tmp_path / "camera.json"
-    replace(house.truth.calibration, optics=optics, defects=defects, lens_types=types).save(camera)
+    truth = house.truth.calibration
+    replace(truth, optics=optics, defects=defects, lens_types=types).save(camera)
     found = figures_of("info", camera)
     figures = found["optics"]
     assert (figures["focal_length_mm"], figures["focal_length_mm_error"]) == (50.0, 0.3)
@@ -103,7 +104,16 @@ def test_info_prints_lens_types_optics_with_their_errors_and_defects(house, tmp_
     }
     assert found["lens_types"] == expected
     told = " ".join(run("info", camera).stdout.split())
-    assert "focal length mm 50" in told and "count 2 by focus True" in told
+    assert (
+        "Optics: focal length 50.00 +- 0.30 mm, main lens to microlenses 58.00 +- 0.20 mm, "
+        "microlenses to sensor 0.700 +- 0.010 mm; pixels of 5 um."
+    ) in told
+    assert (
+        "Lens types repeat as 0 1, 1 0, confidence 90 %; in focus are type 0 at s = -0.400 D."
+    ) in told
+    assert f"{truth.lattice.pitch:.2f} px apart" in told
+    for placeholder in ("None", "nan", "unknown", "by focus"):
+        assert placeholder not in told
     assert (
         "2 defective pixels; 1 unlit lenses"
         in run("convert", camera, "-o", tmp_path / "camera.csv").stdout
@@ -135,6 +145,9 @@ def test_compare_tells_how_far_centres_are_from_each_other(house_files, moved):
         [5.0, 4.0, 3.0, 1.0], abs=1e-5
     )
     assert found["field"]["top left"] == pytest.approx([4.0, 3.0], abs=1e-5)
+    told = run("compare", house_files / "camera.json", moved).stdout
+    assert "5.0000 px (RMS)" in told and "x +4.0000, y +3.0000 px on average" in told
+    assert "bottom right x +4.0000, y +3.0000" in told
 
 
 def test_bad_images_are_one_line_and_leave_no_file(house, tmp_path):
