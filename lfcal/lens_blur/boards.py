@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera.lens_types import LensBlur
+from ..microimage.edge import blurred_edge
 
 __all__ = ["Edges", "fit_discs"]
 
@@ -53,12 +54,10 @@ def _tabulate_widths() -> tuple[_Array, _Array]:
 
     count = round(_WIDEST / _PLACE_STEP)
     place = _PLACE_STEP * np.arange(-count, count + 1)
-    pixel = (np.abs(place) < 0.5) / np.sum(np.abs(place) < 0.5)
     discs = np.arange(0, _WIDEST + _DISC_STEP / 2, _DISC_STEP)
     widths = []
     for disc in discs:
-        chord = np.sqrt(np.maximum((disc / 2) ** 2 - place**2, 0)) + (place == 0) * 1e-9
-        edge = 2 * np.cumsum(np.convolve(pixel, chord / chord.sum(), "same")) - 1
+        edge = 2 * blurred_edge(place, max(disc, _PLACE_STEP) / 2, 1.0).light - 1
 
         def miss(width: float, edge: _Array = edge) -> float:
             return float(((erf(place / (np.sqrt(2) * width)) - edge) ** 2).sum())

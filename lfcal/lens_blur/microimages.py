@@ -22,13 +22,13 @@ from ..images.mosaic import equalise_mosaic
 from ..images.preprocessing import luminance
 from ..lattice.cell import Cell
 from ..lattice.robust_fit import MAD_TO_SIGMA
+from ..microimage.edge import blurred_edge
 from ..microimage.lit import STRAY, UNLIT, is_lit
 from ..runtime.arrays import evenly
 
 __all__ = ["LIGHT_FAULT", "Field", "MicroimageField", "measure_microimages"]
 
 Array = NDArray[np.float64]
-_ACROSS_PIXEL = ((-(0.15**0.5), 5 / 18), (0.0, 8 / 18), (0.15**0.5, 5 / 18))
 # Errors of the model, which the scatter of tiles does not show (`python -m benchmarks.assess`;
 # white images of others). [px] of radii; [1] more of them per px of blur, which need not be a disc;
 # [px] more for apertures with straight sides.
@@ -59,16 +59,16 @@ _STRAIGHT = 0.8
 _MOST_MISFIT = 0.15
 # [radius] Shading grows no further beyond this.
 _SHADED = 1.2
-# Share of the blur by the squares that places of mean pixels leave.
-_SQUARES = 0.65
+# [px] Side of the squares, and how many of them are compared. With sides of 1 px, discs of 2.2 px
+# were 0.05 px too wide, and those of 0.2 px 0.4 px.
+_SIDE = 0.5
+_SQUARES = 1000
 # Lenses of a tile for each type; tiles each way of arrays of several types; pixels of a tile.
 _LENSES_OF_TILE = 30
 _MOST_TILES = 4
 _PIXELS_OF_TILE = 6e4
 # [cell] Pixels up to a little beyond the border are averaged.
 _BORDER = 0.52
-# Squares across half a microimage, and across one of several types.
-_ACROSS = (20, 14)
 
 
 class Field(NamedTuple):
@@ -140,35 +140,20 @@ class _Tile(NamedTuple):
     place: Array  # (2,) in half diagonals from the middle of the flat
     level: float  # light in the middles of microimages
     kind: NDArray[np.int64]  # (m,) type
-    side: float  # [px] of the squares
     offset: Array  # (m, 2) [px] mean place of the pixels of a square
     light: Array  # (m,) over that in the middle of the microimages
     weight: Array  # (m,)
-
-    def thinned(self, most: float) -> _Tile:
-        """The same tile with about `most` squares, evenly chosen."""
-        some = evenly(len(self.light), most)
-        return self._replace(
-            kind=self.kind[some],
-            offset=self.offset[some],
-            light=self.light[some],
-            weight=self.weight[some],
-        )
 
 
 # The equations are too small for more threads to pay off: they would wait for each other.
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def measure_microimages(
-    flat: NDArray[Any],
-    camera: Calibration,
-    most: int = 5,
-    squares: float = np.inf,
-    widest: float = np.inf,
+    flat: NDArray[Any], camera: Calibration, most: int = 5, widest: float = np.inf
 ) -> MicroimageField | None:
     """Size and sharpness of the microimages of a white image, or None without visible discs.
 
-    At most `most` tiles each way are measured, each on about `squares` squares of its cell, and
-    none if the blur in the middle of the flat is wider than `widest` [px].
+    At most `most` tiles each way are measured, and none if the blur in the middle of the flat is
+    wider than `widest` [px].
     Values of 8 bits of which nobody knows whether they are linear are taken as explains the
     microimages better, or as both where that does not tell.
     """
@@ -177,7 +162,6 @@ def measure_microimages(
     starts = []
     for encoded in (True, False) if unknown else (bool(camera.encoded),):
         tiles = _average_tiles(flat, camera, encoded, model.count, most)
-        tiles = [tile.thinned(squares) for tile in tiles]
         if tiles:
             usual = model.start(_START_RADIUS * nearest_half(camera.lattice))
             round_one, straight = (
@@ -250,8 +234,7 @@ class _Model:
         total = np.full(len(tile.kind), p[-1])
         slopes = np.zeros((len(tile.kind), len(p)))
         slopes[:, -1] = 1
-        # Of the blur by the squares, places of mean pixels leave two thirds.
-        width = float(np.sqrt(1 + _SQUARES * tile.side**2))
+        width = float(np.hypot(1, _SIDE))
         # Corners between straight sides are farther away.
         reach = (1 + self.straight) * float(p[:t].max() + p[t : 2 * t].max() + width)
         for number, step in enumerate(self.steps):
@@ -266,7 +249,7 @@ class _Model:
                 seen = _blurred_disc(far, radius, blur, width)
             if len(self.cut):
                 inside = self.cut[3] - np.hypot(*(away - self.cut[:2] - self.cut[2] * tile.place).T)
-                seen *= _blurred_edge(inside, 2 * self.cut[4], width)[0]
+                seen *= blurred_edge(inside, 2 * self.cut[4], width).light
             square = np.minimum(far / radius, _SHADED) ** 2
             shade = 1 + p[-2] * square
             total[rows] += level * shade * seen[0]
@@ -310,55 +293,24 @@ class _Model:
 
 
 def _blurred_disc(far: Array, radius: Array, blur: Array, width: float) -> Array:
-    """Share of blurring discs that lies inside larger discs, and its slopes by both radii (3, m).
+    """Light of discs of `radius` at distances `far` from their middles, and its slopes (3, m).
 
-    The discs of radius `blur` lie at distances `far` from the middle of discs of `radius`, and are
-    seen by squares of `width` [px]: the mean over three places across one (Gauss and Legendre).
+    The slopes are those by the radii and by the radii of the blur.
     """
-    out = np.zeros((3, len(far)))
-    out[0] = far < radius
-    near = np.flatnonzero(np.abs(far - radius) < blur + width / 2)
-    radius = radius[near]
-    blur = blur[near]
-    sums = np.zeros((3, len(near)))
-    for place, weight in _ACROSS_PIXEL:
-        r = np.maximum(far[near] + width * place, 1e-9)
-        one = np.clip((r**2 + blur**2 - radius**2) / (2 * r * blur), -1, 1)
-        two = np.clip((r**2 + radius**2 - blur**2) / (2 * r * radius), -1, 1)
-        first = np.arccos(one)
-        second = np.arccos(two)
-        area = first - one * np.sqrt(1 - one**2)
-        area += (radius / blur) ** 2 * (second - two * np.sqrt(1 - two**2))
-        # The area grows by the arc of one circle that lies inside the other.
-        sums += weight * np.array([area, 2 * radius / blur**2 * second, 2 * (first - area) / blur])
-    out[:, near] = sums / np.pi
-    return out
+    seen = blurred_edge(radius - far, blur, width, 1 / radius)
+    return np.array([seen.light, seen.by_depth - seen.by_curvature / radius**2, seen.by_blur])
 
 
 def _blurred_sides(far: Array, radius: Array, blur: Array, width: float) -> Array:
-    """Share of blurring discs inside pairs of straight edges, and its slopes as of a disc (3, m).
+    """Light between pairs of straight edges, and its slopes as of a disc (3, m).
 
-    `far` (m, n) are the distances along the normals of `n` pairs; the share is the product.
+    `far` (m, n) are the distances along the normals of `n` pairs; their light is multiplied.
     """
     out = np.zeros((3, len(far)))
     out[0] = 1
     for distance in far.T:
-        edge = _blurred_edge(radius - distance, blur, width)
+        edge = np.array(blurred_edge(radius - distance, blur, width)[:3])
         out = out * edge[0] + out[0] * edge * [[0], [1], [1]]
-    return out
-
-
-def _blurred_edge(depth: Array, blur: Array | float, width: float) -> Array:
-    """Share of discs of radius `blur` inside a straight edge, `depth` [px] away.
-
-    The result (3, m) has the slopes by depth and blur, too.
-    """
-    out = np.zeros((3, len(depth)))
-    for place, weight in _ACROSS_PIXEL:
-        t = np.clip((depth + width * place) / blur, -1, 1)
-        half = np.sqrt(1 - t**2)
-        slope = 2 * half / (np.pi * blur)
-        out += weight * np.array([0.5 + (t * half + np.arcsin(t)) / np.pi, slope, -t * slope])
     return out
 
 
@@ -408,16 +360,16 @@ def _average(
     high = np.ceil(centres.max(0)).astype(int) + reach + 2
     part = flat[low[1] : high[1], low[0] : high[0]]
     light = equalise_mosaic(part) if camera.mosaic and part.ndim == 2 else luminance(part)
+    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    whole = np.rint(centres).astype(int)
+    value = light[whole[:, 1, None, None] - low[1] + y, whole[:, 0, None, None] - low[0] + x]
     if encoded:
-        light = light / (
+        value = value / (
             camera.white_level
             or (float(np.iinfo(flat.dtype).max) if flat.dtype.kind == "u" else 1.0)
         )
         # The sRGB curve (IEC 61966-2-1).
-        light = np.where(light <= 0.04045, light / 12.92, ((light + 0.055) / 1.055) ** 2.4)
-    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
-    whole = np.rint(centres).astype(int)
-    value = light[whole[:, 1, None, None] - low[1] + y, whole[:, 0, None, None] - low[0] + x]
+        value = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
     offset = (whole - centres)[:, None, None] + np.stack([x, y], -1)
     middle = np.hypot(offset[..., 0], offset[..., 1]) < 0.5 * cell.inradius
     core = (value * middle).sum((1, 2)) / middle.sum((1, 2))
@@ -430,24 +382,21 @@ def _average(
     offset = offset[keep]
     kinds = kinds[keep]
     inside = (offset @ cell.normals.T <= _BORDER).all(-1)
-    # Squares of half a pixel to one, fewer where there are several types.
-    across = _ACROSS[1] if kinds.any() else _ACROSS[0]
-    side = float(np.clip(cell.circumradius / across, 0.5, 1.0))
-    across = int(2 * reach / side) + 3
-    square = np.floor((offset + reach) / side).astype(np.int64) + 1
+    across = int(2 * reach / _SIDE) + 3
+    square = np.floor((offset + reach) / _SIDE).astype(np.int64) + 1
     key = ((kinds[:, None, None] * across + square[..., 1]) * across + square[..., 0])[inside]
     filled, key, number = np.unique(key, return_inverse=True, return_counts=True)
     measured = (value[inside], *offset[inside].T)
     mean, *places = (np.bincount(key.ravel(), values) / number for values in measured)
     place = camera.lattice.field_place(centres.mean(0)[None])[0]
+    some = evenly(len(filled), _SQUARES)
     return _Tile(
         place,
         typical,
-        filled // across**2,
-        side,
-        np.column_stack(places),
-        mean,
-        number.astype(float),
+        filled[some] // across**2,
+        np.column_stack(places)[some],
+        mean[some],
+        number[some].astype(float),
     )
 
 

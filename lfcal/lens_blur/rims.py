@@ -22,9 +22,6 @@ _TILES = 2
 #: Relative error of rims that a scene lights unevenly: AntLeg and GUV have 0.16 and -0.16 against
 #: their white images, R5b, Letters and Beads 0.03 at most.
 _SCENE_FAULT = 0.15
-#: Squares of the mean microimage of a scene that are compared. The rims of nine scenes move by at
-#: most 0.06 of their errors from those of all squares (4,700 at a pitch of 70 px).
-_SCENE_SQUARES = 1000
 #: [pitch] Rims of scenes that are softer than this may be shading.
 _WIDEST = 0.2
 #: [pitch] Aperture until scenes or boards tell it: 0.14 to 0.5 in simulated cameras.
@@ -37,11 +34,8 @@ def measure_rims(flat: NDArray[Any], camera: Calibration) -> LensBlur | None:
     The error of the aperture is a pitch, so that no other depth has a disc that is sure. Of a
     scene, rims are measured on the mean of many microimages.
     """
-    if camera.source == "white":
-        field = measure_microimages(flat, camera, _TILES)
-    else:
-        widest = _WIDEST * camera.lattice.pitch
-        field = measure_microimages(flat, camera, _TILES, _SCENE_SQUARES, widest)
+    widest = np.inf if camera.source == "white" else _WIDEST * camera.lattice.pitch
+    field = measure_microimages(flat, camera, _TILES, widest)
     if field is None:
         return None
     aperture = _APERTURE * camera.lattice.pitch
