@@ -10,6 +10,7 @@ adds noise, which in fine clutter is stronger than the noise of the camera.
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -84,18 +85,27 @@ class DepthErrors:
         )
 
 
-def draw(seed: int, samples: int = _SAMPLES) -> tuple[str, Capture]:
-    """Description and capture of a random scene; `samples` is the number of rays per pixel."""
+def draw(
+    seed: int,
+    samples: int = _SAMPLES,
+    pitches: tuple[float, float] = _PITCHES,
+    lattices: Sequence[str] = tuple(LATTICES),
+    scenes: Sequence[str] = ("house", "plane", "slope", "clutter"),
+) -> tuple[str, Capture]:
+    """Description and capture of a random scene; `samples` is the number of rays per pixel.
+
+    The pitch [px] lies between two `pitches`; lattice and scene are some of the given ones.
+    """
     rng = np.random.default_rng(seed)
-    pitch = float(np.exp(rng.uniform(*np.log(_PITCHES))))
+    pitch = float(np.exp(rng.uniform(*np.log(pitches))))
     width = int(pitch * rng.uniform(*_ACROSS))
-    lattice = str(rng.choice(list(LATTICES)))
+    lattice = str(rng.choice(list(lattices)))
     three = lattice.startswith("hex") and rng.random() < _THREE_TYPES
     turned = float(rng.uniform(-_LARGEST_ROTATION, _LARGEST_ROTATION))
     camera = Camera.design(
         (width, int(0.75 * width)), pitch, lattice, turned, focus=_FOCUS if three else 0.04
     )
-    name = str(rng.choice(["house", "plane", "slope", "clutter"]))
+    name = str(rng.choice(list(scenes)))
     options: dict[str, float] = {}
     if name == "plane":
         options["ratio"] = float(rng.choice([rng.uniform(-0.6, -0.12), rng.uniform(0.12, 0.4)]))

@@ -14,8 +14,7 @@ from ..flat.neighbours import Neighbours
 from ..flat.texture import Texture
 from .matching.matcher import Matcher, MatchResult, match_lenses
 from .presets import Preset
-from .refinement.lens_plane import LensFits, fit_lens_planes
-from .refinement.pair_fit import fit_pairs
+from .refinement.lens_plane import LensFits, fit_lenses
 from .refinement.smoothing import smooth_fits
 from .validity.classify import (
     RESOLVABLE,
@@ -158,20 +157,10 @@ def _refine(lenses: LensSet, preset: Preset, first: NDArray[np.float32]) -> Lens
     """
     texture = lenses.texture
     pitch = lenses.pitch
-    # Beyond this difference of brightness two pixels hardly show the same point.
-    scale = np.maximum(3 * texture.noise, 0.5 * texture.statistics.contrast).astype(np.float32)
+    contrast = texture.statistics.contrast
 
     def fit(start: NDArray[np.float32]) -> LensFits:
-        pairs = fit_pairs(
-            texture.flat,
-            lenses.neighbours.forward,
-            start,
-            scale,
-            texture.noise,
-            preset.iterations,
-            preset.last_step,
-        )
-        return fit_lens_planes(texture.flat, lenses.neighbours, pairs, start)
+        return fit_lenses(texture.flat, lenses.neighbours, start, contrast, texture.noise, preset)
 
     far = np.abs(first) > 0.4 * pitch
     larger = np.where(far, first + np.sign(first) * np.float32(0.06 * pitch), np.float32(np.nan))

@@ -175,4 +175,6 @@ def _find_second_depths(
             (np.abs(rest) < SHADING_REACH * lenses.pitch) & ~occurs_among(rest, occurring, gap)
         ] = np.nan
         others[:, 1] = rest
+        # Beside a second layer, the second-best match is mostly a rougher value of it.
+        others[dilate_mask(np.isfinite(rest), lenses.neighbours.all), 0] = np.nan
     return others

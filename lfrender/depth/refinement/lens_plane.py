@@ -18,11 +18,12 @@ from lfcal.runtime.kernels import FAST, kernel, square
 
 from ...flat.gray_flat import GrayFlat
 from ...flat.neighbours import Neighbours
+from ..presets import Preset
 from ..same_surface import TOLERANCE, same_surface
 from .least_squares import Plane, add_point, geman_mcclure, no_points, solve_plane
-from .pair_fit import PairFits
+from .pair_fit import PairFits, fit_pairs
 
-__all__ = ["LensFits", "fit_lens_planes"]
+__all__ = ["LensFits", "fit_lens_planes", "fit_lenses"]
 
 
 @dataclass(frozen=True)
@@ -229,22 +230,25 @@ def _standard_errors(begin, end, neighbours, pitch, gap, planes: _Planes, out, s
 
 
 def fit_lens_planes(
-    gray: GrayFlat, neighbours: Neighbours, pairs: PairFits, start: NDArray[np.float32]
+    gray: GrayFlat,
+    neighbours: Neighbours,
+    pairs: PairFits,
+    start: NDArray[np.float32],
+    steepest: float = 0.04,
 ) -> LensFits:
     """Patch size at the centre of each lens by a robust fit of a plane to what its pairs have
     measured.
 
     A first fit yields the slants, a second has the mean slant of the neighbours on one surface as
     its prior. The scatter of the pairs about the plane gives the standard error. `start` (n,) [px]
-    is NaN for lenses to leave out.
+    is NaN for lenses to leave out; slants are rarely steeper than `steepest` [px per px].
     """
     n = len(start)
     pitch = np.float32(gray.pitch)
     float32 = np.float32
     planes = _Planes(np.empty(n, float32), np.empty((n, 2), float32), np.empty((n, 4), float32))
     prior = np.zeros((n, 3), float32)
-    # Slants are rarely steeper than 0.04 px per px.
-    prior[:, 2] = 1 / 0.04**2
+    prior[:, 2] = 1 / steepest**2
     gap = float32(TOLERANCE * gray.pitch)
     measured = (gray.centres, pitch, neighbours.all, pairs)
     _fit_planes(*measured, start.astype(float32), prior, 4, planes)
@@ -254,3 +258,35 @@ def fit_lens_planes(
     slant_errors = np.empty(n, float32)
     _standard_errors(neighbours.all, pitch, gap, planes, errors, slant_errors)
     return LensFits(planes.sizes, errors, planes.slants, slant_errors)
+
+
+def fit_lenses(
+    gray: GrayFlat,
+    neighbours: Neighbours,
+    start: NDArray[np.float32],
+    contrast: NDArray[np.float32],
+    noise: float,
+    preset: Preset,
+    hidden: NDArray[np.bool_] | None = None,
+) -> LensFits:
+    """Patch size of each lens by fits of its pairs and a plane through them.
+
+    `contrast` (n,) is that of the microimages, `noise` that of a pixel; other arguments are those
+    of `fit_pairs`. Where pixels are `hidden`, the rest is taken for narrow: planes hardly slant.
+    """
+    # Beyond this difference of brightness two pixels hardly show the same point.
+    scale = np.maximum(3 * noise, 0.5 * contrast).astype(np.float32)
+    pairs = fit_pairs(
+        gray,
+        neighbours.forward,
+        start,
+        scale,
+        noise,
+        preset.iterations,
+        preset.last_step,
+        hidden,
+    )
+    if hidden is None:
+        return fit_lens_planes(gray, neighbours, pairs, start)
+    # What is narrow shows no slant, and lies off the centre.
+    return fit_lens_planes(gray, neighbours, pairs, start, steepest=0.005)

@@ -76,6 +76,15 @@ class _Fit(NamedTuple):
     y: np.float32
 
 
+class _Flat(NamedTuple):
+    """The flat that is fitted."""
+
+    image: NDArray[np.float32]  # (H, W)
+    hidden: NDArray[np.bool_]  # (H, W) pixels that do not count; (0, 0) if all do
+
+
+# Brightness of pixels that do not count: so far from all others, they have no weight.
+_NO_LIGHT = np.float32(1e6)
 # [px] farther from its start a fit has gone over to another optimum.
 _LARGEST_DRIFT = np.float32(2.5)
 # A calibration from one scene leaves shading of 2 % at the rim. A change by r^2 is a ramp of this
@@ -256,6 +265,16 @@ def _start_values(own, other, gap):
     return own, other
 
 
+@njit(error_model="numpy")
+def _hide(hidden, raster, corner, work):
+    """Take the weight of `hidden` pixels (H, W) of a microimage that is cut out."""
+    left, top = corner
+    for row in range(raster.side):
+        for column in range(raster.side):
+            if hidden[top + row, left + column]:
+                work[LIGHT, row * raster.stride + column] = _NO_LIGHT
+
+
 @njit(inline="always")
 def _store(fit, lens, d, k, sizes, variances, places):
     sizes[lens, d, k] = fit.size
@@ -264,8 +283,10 @@ def _store(fit, lens, d, k, sizes, variances, places):
     places[lens, d, k, 1] = fit.y
 
 
-@kernel(error_model="numpy", share=lambda image, centres, *_: len(centres))
-def _fit_pairs(begin, end, image, centres, types, rows, start, scale2, settings: _Settings, fits):
+@kernel(error_model="numpy", share=lambda flat, centres, *_: len(centres))
+def _fit_pairs(
+    begin, end, flat: _Flat, centres, types, rows, start, scale2, settings: _Settings, fits
+):
     """Fit the pairs of each lens with its neighbours in `rows`, and write them into `PairFits`;
     lenses blur alike if `types` is None.
     """
@@ -282,8 +303,9 @@ def _fit_pairs(begin, end, image, centres, types, rows, start, scale2, settings:
         priors[_BLUR:] = settings.noise2 / square(_BLUR_DIFFERENCE * pitch * pitch)
     box_step = np.full(2, NO_STEP)
     memory = work, sums, priors, box_step
-    pixels = image.reshape(-1)
-    shape = image.shape
+    pixels = flat.image.reshape(-1)
+    shape = flat.image.shape
+    hidden = flat.hidden
     none = _Fit(np.float32(np.nan), np.float32(np.inf), np.float32(0), np.float32(0))
     for lens in range(begin, end):
         ax = centres[lens, 0]
@@ -300,6 +322,8 @@ def _fit_pairs(begin, end, image, centres, types, rows, start, scale2, settings:
                 continue
             if not ready:
                 cut_smoothed(pixels, shape, raster, corner, types, work)
+                if hidden.size > 0:
+                    _hide(hidden, raster, corner, work)
                 box_step[:] = NO_STEP
                 ready = True
             pair = Pair(ax, ay, centres[other, 0], centres[other, 1], radius, pitch)
@@ -331,13 +355,15 @@ def fit_pairs(
     noise: float,
     iterations: int,
     last_step: float = 0.02,
+    hidden: NDArray[np.bool_] | None = None,
 ) -> PairFits:
     """Patch size of each pair of neighbours, `rows` (n, d), by Gauss-Newton steps, `iterations` at
     most.
 
     Pairs of two lenses without a `start` value (n,) [px], NaN, are left out. Beyond a difference of
     brightness of `scale` (n,) two pixels hardly show the same point. `noise` is the standard
-    deviation of a pixel, at most. A step below `last_step` [px] ends the fit.
+    deviation of a pixel, at most. A step below `last_step` [px] ends the fit. Pixels
+    that are `hidden` (H, W) do not count in their own lens.
     """
     # Detail finer than a 25th of a pitch would show the difference of focus of two lenses instead
     # of the depth.
@@ -345,13 +371,16 @@ def fit_pairs(
     gray = gray.downsampled(factor)
     start = (start / factor).astype(np.float32)
     noise = noise / factor
+    hidden = np.zeros((0, 0), bool) if hidden is None else hidden[::factor, ::factor]
     # At the rim smoothing and slopes read beyond the microimage.
     radius = gray.radius - max(0.03 * gray.pitch, 0.3)
     image = gray.image
     # Microimages are cut out with the pixels beside them.
     missing = [max(0, int(2 * radius) + 2 * SPLINE_MARGIN - n) for n in image.shape]
     if any(missing):
-        image = np.pad(image, [(0, n) for n in missing], "edge")
+        beyond = [(0, n) for n in missing]
+        image = np.pad(image, beyond, "edge")
+        hidden = np.pad(hidden, beyond) if hidden.size else hidden
     settings = _Settings(
         np.float32(radius),
         np.float32(gray.pitch),
@@ -364,8 +393,8 @@ def fit_pairs(
         np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty((*shape, 2), np.float32)
     )
     scale2 = (scale * scale).astype(np.float32)
-    image = np.ascontiguousarray(image)
-    _fit_pairs(image, gray.centres, gray.lens_type, rows, start, scale2, settings, fits)
+    flat = _Flat(np.ascontiguousarray(image), np.ascontiguousarray(hidden))
+    _fit_pairs(flat, gray.centres, gray.lens_type, rows, start, scale2, settings, fits)
     if factor == 1:
         return fits
     return PairFits(fits.patch_size * factor, fits.variance * factor**2, fits.place * factor)

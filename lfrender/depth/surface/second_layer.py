@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import namedtuple
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -25,6 +26,8 @@ from ..matching.cost_volume import match_cost
 from ..matching.matcher import Matcher, fit_parabola
 from ..matching.sgm import aggregate_costs
 from ..presets import Preset
+from ..refinement.lens_plane import fit_lenses
+from ..refinement.smoothing import smooth_fits
 from ..same_surface import TOLERANCE, same_surface
 
 __all__ = ["find_second_layer"]
@@ -37,6 +40,28 @@ _LOWER = 0.1
 # float32 for this and another one, their squared differences, the differences that are none, and
 # how many views show and confirm each pixel.
 _Box = namedtuple("_Box", "stride light other squares limits showing confirming")
+
+
+class _Lenses(NamedTuple):
+    """Microimages of a flat."""
+
+    image: NDArray[np.float32]  # (H, W)
+    centres: NDArray[np.float32]  # (n, 2) [px]
+    rows: NDArray[np.int32]  # (n, d) neighbours, -1 where there is none
+    radius: np.float32  # [px]
+    pitch: np.float32  # [px]
+    first: NDArray[np.float32]  # (n,) [px] patch size
+    floors: NDArray[np.float32]  # (n,) squared difference that needs no explanation
+
+
+class _Search(NamedTuple):
+    """Which shifts of unexplained pixels are compared, and how."""
+
+    shifts: NDArray[np.float32]  # [px]
+    means: NDArray[np.float32]  # (n,) brightness of each lens
+    floor: np.float32  # squared difference of two pixels by noise
+    half: np.float32  # number of pixels whose match counts half
+    row_step: int  # only every `row_step`-th row is compared
 
 
 @njit(fastmath=FAST, error_model="numpy", forceinline=True)
@@ -83,14 +108,28 @@ def _count_views(squares, limits, start, count, stride, showing, confirming):
         confirming[p] += one if _sum_window(squares, p, stride) <= limits[p] else none
 
 
+@njit(error_model="numpy", forceinline=True)
+def _make_box(radius):
+    """Work memory for lenses of this radius [px]."""
+    stride = 2 * (int(np.ceil(radius)) + 1) + 2
+    work = np.zeros((6, stride * stride), np.float32)
+    return _Box(stride, work[0], work[1], work[2], work[3], work[4], work[5])
+
+
 @njit(fastmath=FAST, error_model="numpy", forceinline=True)
-def _find_unexplained(
-    flat, box, centres, lens, radius, s, pitch, rows, row_step, floor, xs, ys, places
-):
+def _find_unexplained(lenses: _Lenses, box, lens, row_step, xs, ys, places):
     """Gather columns, rows and places in the flat of those pixels of a lens that fewer than half of
-    the neighbours that show them confirm at patch size `s`, by windows of 3 x 3 pixels that differ
-    by less than their variance and a `floor`; their number.
+    the neighbours that show them confirm at its first patch size, by windows of 3 x 3 pixels that
+    differ by less than their variance and a floor; their number.
     """
+    flat = lenses.image
+    centres = lenses.centres
+    rows = lenses.rows
+    pitch = lenses.pitch
+    # Windows reach a pixel beyond their middle.
+    radius = lenses.radius - np.float32(1.0)
+    s = lenses.first[lens]
+    floor = lenses.floors[lens]
     pixels, (height, width) = flat.reshape(-1), flat.shape
     stride, light, other, squares, limits, showing, confirming = box
     ax = centres[lens, 0]
@@ -195,37 +234,20 @@ def _moments(flat, xs, ys, places, number, bx, by, radius, tx, ty, mean):
     return count, sa, sb, squares, srr
 
 
-@kernel(error_model="numpy", fastmath=FAST, share=lambda image, centres, *_: len(centres))
-def _match_unexplained(
-    begin,
-    end,
-    image,
-    centres,
-    radius,
-    pitch,
-    rows,
-    first,
-    means,
-    floors,
-    wanted,
-    shifts,
-    floor,
-    half,
-    row_step,
-    out,
-):
-    """Mismatch of the unexplained pixels of each `wanted` lens with the better half of its
-    neighbours, at every shift; left alone where there are too few. A match over `half` pixels
-    counts half.
+@kernel(error_model="numpy", fastmath=FAST, share=lambda lenses, *_: len(lenses.rows))
+def _match_unexplained(begin, end, lenses: _Lenses, search: _Search, wanted, out):
+    """Mismatch `out` (n, k) of the unexplained pixels of each `wanted` lens (n,) with the better
+    half of its neighbours, at every shift; left alone where there are too few.
     """
-    # Windows reach a pixel beyond their middle.
-    inner = radius - np.float32(1.0)
     none = np.float32(0.0)
+    radius = lenses.radius
+    centres = lenses.centres
+    rows = lenses.rows
+    shifts = search.shifts
+    means = search.means
+    row_step = search.row_step
     most = square(2 * int(radius) + 3)
-    stride = 2 * (int(np.ceil(inner)) + 1) + 2
-    work = np.zeros((6, stride * stride), np.float32)
-    box = _Box(stride, work[0], work[1], work[2], work[3], work[4], work[5])
-    flat = image
+    box = _make_box(radius)
     costs = np.empty(rows.shape[1], np.float32)
     xs = np.empty(most, np.float32)
     ys = np.empty(most, np.float32)
@@ -233,28 +255,14 @@ def _match_unexplained(
     for lens in range(begin, end):
         if not wanted[lens]:
             continue
-        number = _find_unexplained(
-            flat,
-            box,
-            centres,
-            lens,
-            inner,
-            first[lens],
-            pitch,
-            rows,
-            row_step,
-            floors[lens],
-            xs,
-            ys,
-            places,
-        )
+        number = _find_unexplained(lenses, box, lens, row_step, xs, ys, places)
         # Fewer pixels hardly tell a depth.
         if number < 4:
             continue
         ax = centres[lens, 0]
         ay = centres[lens, 1]
         for k in range(len(shifts)):
-            grow = 1 + shifts[k] / pitch
+            grow = 1 + shifts[k] / lenses.pitch
             shown = 0
             for d in range(rows.shape[1]):
                 other = rows[lens, d]
@@ -263,7 +271,7 @@ def _match_unexplained(
                 bx = centres[other, 0]
                 by = centres[other, 1]
                 count, sa, sb, squares, srr = _moments(
-                    flat,
+                    lenses.image,
                     xs,
                     ys,
                     places,
@@ -278,7 +286,16 @@ def _match_unexplained(
                 if count < 4:
                     continue
                 cost = match_cost(
-                    count, sa, sb, squares, srr, none, count * row_step, floor, half, none
+                    count,
+                    sa,
+                    sb,
+                    squares,
+                    srr,
+                    none,
+                    count * row_step,
+                    search.floor,
+                    search.half,
+                    none,
                 )
                 at = shown
                 while at > 0 and costs[at - 1] > cost:
@@ -289,6 +306,32 @@ def _match_unexplained(
             if shown >= 2:
                 better = (shown + 1) // 2
                 out[lens, k] = costs[:better].sum() / better
+
+
+@kernel(error_model="numpy", share=lambda lenses, *_: len(lenses.rows))
+def _show_unexplained(begin, end, lenses: _Lenses, layer, second, hidden):
+    """Clear `hidden` (H, W) at the pixels of lenses that show a `layer` (n,): the unexplained ones
+    where it is their `second` depth (n,), else all.
+    """
+    radius = lenses.radius
+    height, width = hidden.shape
+    most = square(2 * int(radius) + 3)
+    box = _make_box(radius)
+    xs = np.empty(most, np.float32)
+    ys = np.empty(most, np.float32)
+    places = np.empty(most, np.int64)
+    for lens in range(begin, end):
+        if not layer[lens]:
+            continue
+        if second[lens]:
+            for k in range(_find_unexplained(lenses, box, lens, 1, xs, ys, places)):
+                hidden[int(ys[k]), int(xs[k])] = False
+            continue
+        x = lenses.centres[lens, 0]
+        y = lenses.centres[lens, 1]
+        for row in range(max(0, int(np.ceil(y - radius))), min(height, int(y + radius) + 1)):
+            first, count = row_of_disc(row - y, x, radius, 0, width - 1)
+            hidden[row, first : first + count] = False
 
 
 def find_second_layer(
@@ -303,8 +346,8 @@ def find_second_layer(
     there are none.
 
     They are correlated over all shifts between the patch sizes `occurring` (m,) [px], if given, and
-    semi-global matching smooths the result: a branch runs through one lens after the other.
-    `correlation` (n,) is that of each lens at its `first` patch size (n,) [px].
+    semi-global matching smooths the result: a branch runs through one lens after the other. Then
+    they are fitted as first depths are. `correlation` (n,) is that of each lens at its `first` patch size (n,) [px].
     """
     second = np.full(len(first), np.nan, np.float32)
     # A lens that correlates more is explained by its first depth.
@@ -337,38 +380,59 @@ def find_second_layer(
     small = (first / factor).astype(np.float32)
     lens = np.arange(len(first))
     at_first = np.abs(shifts - small[:, None]).argmin(1)
+    lenses = _Lenses(
+        gray.image,
+        gray.centres,
+        neighbours.all,
+        np.float32(gray.radius),
+        np.float32(gray.pitch),
+        small,
+        floors,
+    )
+    search = _Search(shifts, matcher.statistics.mean, 2 * noise2, half, preset.row_step)
 
     # A branch runs through one lens after the other: the lenses beside those of a sample that show
     # one are matched too.
     sample = wanted & (neighbours.indices % 2 == 0).all(1)
-    lenses = sample
+    tried = sample
     for _ in range(2):
-        _match_unexplained(
-            gray.image,
-            gray.centres,
-            np.float32(gray.radius),
-            np.float32(gray.pitch),
-            neighbours.all,
-            small,
-            matcher.statistics.mean,
-            floors,
-            lenses,
-            shifts,
-            2 * noise2,
-            half,
-            preset.row_step,
-            cost,
-        )
+        _match_unexplained(lenses, search, tried, cost)
         matched = cost.min(1) < cost[lens, at_first] - _LOWER
-        lenses = wanted & ~sample & dilate_mask(sample & matched, neighbours.all)
+        tried = wanted & ~sample & dilate_mask(sample & matched, neighbours.all)
     total = aggregate_costs(cost, neighbours, matcher.slope_price, 0.35)
     best = total.argmin(1)
     matched = cost[lens, best] < cost[lens, at_first] - _LOWER
-    found = ((shifts[best] + fit_parabola(total, best) * matcher.step) * factor).astype(np.float32)
-    gap = TOLERANCE * texture.flat.pitch
+    found = shifts[best] + fit_parabola(total, best) * np.float32(matcher.step)
+    gap = TOLERANCE * gray.pitch
+    new = matched & ~same_surface(found, small, gap)
+    own = np.where(new, found, np.float32(np.nan))
+    new &= _occurs_beside(found, own, neighbours, gap) | _occurs_beside(
+        found, small, neighbours, gap
+    )
+    if not new.any():
+        return second
+    own[~new] = np.nan
+    # Neighbours that show the layer as their first depth take part in its fit.
+    among = new | _occurs_beside(small, own, neighbours, gap)
+    hidden = np.ones(gray.image.shape, bool)
+    _show_unexplained(lenses, among, new, hidden)
+    fits = fit_lenses(
+        gray,
+        neighbours,
+        np.where(new, own, np.where(among, small, np.float32(np.nan))),
+        matcher.statistics.contrast,
+        texture.noise / factor,
+        preset,
+        hidden,
+    )
+    fitted = smooth_fits(gray, neighbours, fits, among).patch_size
+    second = np.where(new & np.isfinite(fitted), fitted, own)
+    return np.asarray(second * factor, np.float32)
+
+
+def _occurs_beside(
+    sizes: NDArray[np.float32], others: NDArray[np.float32], neighbours: Neighbours, gap: float
+) -> NDArray[np.bool_]:
+    """(n,) bool: lenses with a neighbour whose patch size in `others` (n,) is theirs in `sizes`."""
     rows = neighbours.all
-    new = matched & ~same_surface(found, first, gap)
-    # A neighbour must have the same depth, in either layer.
-    beside = same_surface(np.where(new[rows], found[rows], np.nan), found[:, None], gap)
-    beside |= same_surface(first[rows], found[:, None], gap)
-    return np.where(new & (beside & (rows >= 0)).any(1), found, second).astype(np.float32)
+    return np.asarray((same_surface(others[rows], sizes[:, None], gap) & (rows >= 0)).any(1))
