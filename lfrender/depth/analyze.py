@@ -15,11 +15,10 @@ from ..data.flat_samples import sample_flat
 from ..flat.lens_blur import find_lens_blur
 from ..flat.validation import check_flat, exposure_rows, match_exposure, verify_camera
 from ..runtime.choices import Preset, Shortcut, check_choice
-from .edges.locate_edges import locate_edges
 from .incremental import update_depth
-from .pipeline import estimate_depth_map, prepare_flat
+from .pipeline import estimate_part, locate_part_edges, prepare_flat
 from .presets import PRESETS, Shortcuts
-from .region import check_region, crop_flat, embed_region, rescale_depth, select_lenses
+from .region import Part, check_region, embed_region, rescale_depth, select_lenses
 
 __all__ = ["PRESETS", "analyze"]
 
@@ -132,16 +131,16 @@ def analyze(
         )
     with show_progress(progress, "analyze") as step:
         gray, small, factor = prepare_flat(flat, calibration, preset)
-        small_part = small
+        part = Part(gray, small, preset)
         if inside is not None:
-            gray, small_part = crop_flat(gray, small, inside)
+            part = part.crop(inside)
         step(1, _STAGES)
-        depth = estimate_depth_map(gray, small_part, preset, shortcuts)
+        depth = estimate_part(part, shortcuts)
         step(2, _STAGES)
-        depth = locate_edges(gray, small_part, depth) if edges else depth
+        depth = locate_part_edges(part, depth) if edges else depth
         step(3, _STAGES)
         if inside is not None:
-            depth = embed_region(depth, small_part, small, inside)
+            depth = embed_region(depth, part.lattice, small, inside)
         depth = rescale_depth(depth, lattice, factor, flat_samples=sample_flat(flat))
         blur = find_lens_blur(flat, (0, 0), calibration, depth.patch_size)
         step(_STAGES, _STAGES)

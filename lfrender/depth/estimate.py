@@ -9,13 +9,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..data.depth_map import DepthMap
-from ..flat.neighbours import Neighbours
 from ..flat.texture import Texture
 from .matching.matcher import Matcher, MatchResult, match_lenses
 from .presets import Preset
 from .refinement.lens_plane import LensFits, fit_lenses
 from .refinement.smoothing import smooth_fits
+from .region import Part
 from .validity.classify import (
     RESOLVABLE,
     SURE,
@@ -35,13 +34,13 @@ __all__ = ["LensEstimates", "LensSet", "estimate_lenses"]
 
 @dataclass(frozen=True)
 class LensSet:
-    """The lenses of a flat, and which of them to estimate."""
+    """The lenses of a part, and which of them to match."""
 
+    part: Part
     texture: Texture
-    neighbours: Neighbours
-    updated: NDArray[np.bool_]  # (n,) lenses that do not keep a depth from before
-    active: NDArray[np.bool_]  # (n,) those of them to match
+    active: NDArray[np.bool_]  # (n,) lenses to match
     sample: NDArray[np.bool_] | None  # (n,) lenses that show which depths occur, see `match_lenses`
+    sizes: NDArray[np.float32] | None  # (m,) [px] depths that occur, if known from elsewhere
 
     @property
     def pitch(self) -> float:
@@ -75,8 +74,8 @@ class LensEstimates:
 
     def smooth(self, lenses: LensSet) -> LensEstimates:
         """Smooth over the lenses on the same surface; those that keep their depth stay."""
-        wanted = self.resolved & lenses.updated
-        fits = smooth_fits(lenses.texture.flat, lenses.neighbours, self.own_fits, wanted)
+        wanted = self.resolved & lenses.part.updated
+        fits = smooth_fits(lenses.texture.flat, lenses.part.neighbours, self.own_fits, wanted)
         known = wanted & np.isfinite(fits.standard_error)
         return replace(
             self,
@@ -84,51 +83,43 @@ class LensEstimates:
             standard_error=np.where(known, fits.standard_error, self.standard_error),
         )
 
-    def keep(self, kept: NDArray[np.bool_], before: DepthMap) -> LensEstimates:
-        """With what the lenses that are `kept` (n,) had before."""
+    def keep(self, part: Part) -> LensEstimates:
+        """With what the lenses of the part that are not estimated had before."""
+        before = part.before
+        if before is None:
+            return self
 
-        def where(old: NDArray, new: NDArray) -> NDArray:
-            return np.where(kept, old, new)
+        def where(new: NDArray, old: NDArray) -> NDArray:
+            return np.where(part.updated, new, old)
 
         size = before.filled_patch_size
         error = np.where(before.reason == 0, before.standard_error, np.inf)
         own = self.own_fits
         return replace(
             self,
-            patch_size=where(size, self.patch_size),
-            standard_error=where(before.standard_error, self.standard_error),
-            confidence=where(before.confidence, self.confidence),
-            reason=where(before.reason, self.reason),
-            guess=where(size, self.guess),
+            patch_size=where(self.patch_size, size),
+            standard_error=where(self.standard_error, before.standard_error),
+            confidence=where(self.confidence, before.confidence),
+            reason=where(self.reason, before.reason),
+            guess=where(self.guess, size),
             own_fits=replace(
                 own,
-                patch_size=where(size, own.patch_size),
-                standard_error=where(error, own.standard_error),
+                patch_size=where(own.patch_size, size),
+                standard_error=where(own.standard_error, error),
             ),
         )
 
 
-def estimate_lenses(
-    lenses: LensSet,
-    preset: Preset,
-    before: DepthMap | None = None,
-    sizes: NDArray[np.float32] | None = None,
-) -> LensEstimates:
+def estimate_lenses(lenses: LensSet, preset: Preset) -> LensEstimates:
     """Search the patch size of lenses, refine it on the pixels of every pair, and classify the
     result.
-
-    Lenses that are not `updated` keep what they had `before`; `sizes` are as for `match_lenses`.
     """
     texture = lenses.texture
-    updated = lenses.updated
+    updated = lenses.part.updated
     pitch = lenses.pitch
-    known = (
-        None
-        if before is None
-        else np.where(updated, np.nan, before.filled_patch_size).astype(np.float32)
-    )
-    matcher = Matcher(texture, lenses.neighbours, preset)
-    match = match_lenses(matcher, lenses.active, texture.clear, lenses.sample, known, sizes)
+    matcher = Matcher(texture, lenses.part.neighbours, preset)
+    known = lenses.part.kept_sizes
+    match = match_lenses(matcher, lenses.active, texture.clear, known, lenses.sample, lenses.sizes)
     like_shading = looks_like_shading(
         texture.clear & updated, match, texture.statistics.contrast, pitch
     )
@@ -143,10 +134,9 @@ def estimate_lenses(
     measured = np.isfinite(own.patch_size)
     refined = np.where(measured, own.patch_size, match.patch_size)
     error = np.where(measured, own.standard_error, np.inf)
-    textured |= perhaps & shift_exceeds_shading(refined, error, lenses.neighbours.all, pitch)
+    textured |= perhaps & shift_exceeds_shading(refined, error, lenses.part.neighbours.all, pitch)
     textured &= ~like_shading | (np.abs(refined) >= 8 * error)
-    estimates = _classify(lenses, match, textured, own, refined, error, before)
-    return estimates if before is None else estimates.keep(~updated, before)
+    return _classify(lenses, match, textured, own, refined, error).keep(lenses.part)
 
 
 def _refine(lenses: LensSet, preset: Preset, first: NDArray[np.float32]) -> LensFits:
@@ -160,7 +150,9 @@ def _refine(lenses: LensSet, preset: Preset, first: NDArray[np.float32]) -> Lens
     contrast = texture.statistics.contrast
 
     def fit(start: NDArray[np.float32]) -> LensFits:
-        return fit_lenses(texture.flat, lenses.neighbours, start, contrast, texture.noise, preset)
+        return fit_lenses(
+            texture.flat, lenses.part.neighbours, start, contrast, texture.noise, preset
+        )
 
     far = np.abs(first) > 0.4 * pitch
     larger = np.where(far, first + np.sign(first) * np.float32(0.06 * pitch), np.float32(np.nan))
@@ -174,25 +166,22 @@ def _classify(
     own: LensFits,
     refined: NDArray,
     error: NDArray,
-    before: DepthMap | None,
 ) -> LensEstimates:
     """Decide which lenses are resolved, with errors and confidence, from their match and refined
     patch sizes (n,).
     """
     texture = lenses.texture
     pitch = lenses.pitch
-    neighbours = lenses.neighbours
+    neighbours = lenses.part.neighbours
     signal = signal_share(texture)
     explained = match.normalised_correlation / signal
     reason, error, sure = classify_lenses(
         textured, match, refined, error, signal, neighbours.all, pitch
     )
-    depths = refined
-    shown = reason == 0
-    if before is not None:
-        # Lenses that keep their depth show the same scene.
-        depths = np.where(lenses.updated, refined, before.filled_patch_size)
-        shown = shown | (~lenses.updated & (before.reason == 0))
+    # Lenses that keep their depth show the same scene.
+    part = lenses.part
+    depths = np.where(part.updated, refined, part.kept_sizes)
+    shown = (reason == 0) | part.kept_resolved
     periodic, perhaps = find_periodic_texture(texture.flat, neighbours.indices, depths, shown)
     perhaps = perhaps or correlates_poorly(explained, signal, reason == 0)
     reason[periodic] = 2

@@ -16,21 +16,16 @@ from lfcal import Calibration, FlatError, Lattice
 
 from ..data.depth_map import DepthMap, check_depth
 from ..data.frame_state import FrameState, LocalMatch
-from ..data.surface import Surface
 from ..flat.gray_flat import GrayFlat
 from ..flat.lens_graph import count_connected, dilate_mask
 from ..flat.neighbours import neighbours_of
 from ..flat.texture import LensStatistics, classify_texture, sample_statistics
 from ..flat.validation import check_flat
 from .changed_lenses import find_changed_lenses
-from .edges.locate_edges import locate_edges, places_of_lenses, refine_grid
 from .matching.matcher import Matcher
-from .pipeline import estimate_depth_map, estimate_lens_by_lens, prepare_flat
+from .pipeline import estimate_part, locate_part_edges, prepare_flat
 from .presets import PRESETS, Shortcuts
-from .region import rescale_depth
-from .same_surface import TOLERANCE
-from .surface.scene_grid import grid_shape
-from .validity.textureless import find_textureless
+from .region import Part, rescale_depth
 
 __all__ = ["changed_since", "find_moved", "update_depth"]
 
@@ -111,77 +106,21 @@ def update_depth(
     if kept.all():
         state.complete = state.reference
         depth = replace(before, saved=saved)
-    elif kept.any():
-        depth = _update_rest(gray, lattice, statistics, shortcuts, edges, kept, before, factor)
-        depth = replace(
-            rescale_depth(depth, calibration.lattice, factor), saved={**depth.saved, **saved}
-        )
     else:
-        state.reference = None
-        depth = estimate_depth_map(gray, lattice, preset, shortcuts)
-        depth = locate_edges(gray, lattice, depth) if edges else depth
+        part = Part(gray, lattice, preset)
+        if kept.any():
+            old = rescale_depth(before, lattice, 1 / factor)
+            part = replace(part, before=old, changed=~kept)
+        else:
+            state.reference = None
+        depth = estimate_part(part, shortcuts)
+        if edges:
+            depth = locate_part_edges(part, depth)
         depth = rescale_depth(depth, calibration.lattice, factor)
+        depth = replace(depth, saved={**depth.saved, **saved})
     if state.reference is not None:
         state.kept = kept
     return replace(depth, frame_state=state)
-
-
-def _update_rest(
-    gray: GrayFlat,
-    lattice: Lattice,
-    statistics: LensStatistics,
-    shortcuts: Shortcuts,
-    edges: bool,
-    kept: NDArray[np.bool_],
-    before: DepthMap,
-    factor: int,
-) -> DepthMap:
-    """Depth in pixels of the grey flat, for which only lenses that are not `kept` (n,) are
-    estimated.
-    """
-    neighbours = neighbours_of(lattice).all
-    preset = before.preset
-    blank = None
-    if shortcuts.blank:
-        near = dilate_mask(dilate_mask(~kept, neighbours), neighbours)
-        blank = find_textureless(gray, lattice, statistics, PRESETS[preset], asked=near)
-    old = rescale_depth(before, lattice, 1 / factor)
-    start = replace(old, surface=_coarse_surface(old.surface, lattice, preset))
-    depth = estimate_lens_by_lens(gray, lattice, preset, shortcuts, statistics, blank, kept, start)
-    if edges:
-        changed = dilate_mask(~kept, neighbours)
-        depth = _locate_new_edges(gray, lattice, depth, old.surface, changed)
-    return depth
-
-
-def _coarse_surface(surface: Surface, lattice: Lattice, preset: str) -> Surface:
-    """The surface on the grid that it has before edges are located."""
-    _, first, spacing = grid_shape(lattice, PRESETS[preset].surface_cells)
-    finer = round(spacing / surface.spacing)
-    return (
-        surface
-        if finer <= 1
-        else Surface(surface.patch_size[::finer, ::finer].copy(), first, spacing)
-    )
-
-
-def _locate_new_edges(
-    gray: GrayFlat, lattice: Lattice, depth: DepthMap, old: Surface, changed: NDArray[np.bool_]
-) -> DepthMap:
-    """The depth map with its edges about the lenses that have `changed` (n,), and as in the `old`
-    surface elsewhere.
-    """
-    after = locate_edges(gray, lattice, depth, changed)
-    new = after.surface
-    values = after.surface.patch_size
-    finer = round(new.spacing / old.spacing)
-    if finer > 1:
-        values = refine_grid(values, finer, TOLERANCE * lattice.pitch)
-        new = Surface(values, old.first, old.spacing)
-    if values.shape != old.patch_size.shape:
-        return after
-    keep = ~places_of_lenses(changed, lattice, new)
-    return replace(after, surface=replace(new, patch_size=np.where(keep, old.patch_size, values)))
 
 
 def _check_previous(

@@ -1,14 +1,14 @@
 """The passes of an analysis, in order, from a grey flat to its depth map.
 
-`estimate_depth_map`: which lenses have no texture (`validity.textureless`)? Then
-`estimate_lens_by_lens`: select the lenses to match; search, refine, classify and smooth them
-(`estimate`), find second depths (`surface.second_layer`) and make a dense surface of all
-(`surface.densify`).
+`estimate_part`: which lenses have no texture (`validity.textureless`)? Select the lenses to match;
+search, refine, classify and smooth them (`estimate`), find second depths (`surface.second_layer`)
+and make a dense surface of all (`surface.densify`). `locate_part_edges`: find the depth edges of
+the surface on the pixels (`edges`).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,29 +16,23 @@ from numpy.typing import NDArray
 from lfcal import Calibration, Lattice
 
 from ..data.depth_map import DepthMap
+from ..data.surface import Surface
 from ..flat.gray_flat import GrayFlat, make_gray_flat
 from ..flat.lens_graph import dilate_mask
-from ..flat.neighbours import neighbours_of
-from ..flat.texture import LensStatistics, find_texture, sample_statistics
+from ..flat.texture import find_texture, sample_statistics
+from .edges.locate_edges import locate_edges, places_of_lenses, refine_grid
 from .estimate import LensEstimates, LensSet, estimate_lenses
 from .matching.matcher import sample_lenses
 from .presets import PRESETS, Preset, Shortcuts
+from .region import Part
 from .same_surface import TOLERANCE
 from .surface.densify import densify
+from .surface.scene_grid import grid_shape
 from .surface.second_layer import find_second_layer
 from .validity.classify import SHADING_REACH, SURE, occurs_among
 from .validity.textureless import find_textureless
 
-__all__ = ["SceneStatistics", "estimate_depth_map", "estimate_lens_by_lens", "prepare_flat"]
-
-
-@dataclass(frozen=True)
-class SceneStatistics:
-    """Statistics of a large flat that the analysis of a part needs."""
-
-    noise: float  # standard deviation of a pixel, white = 1
-    sizes: NDArray[np.float32]  # (m,) [px] patch sizes of resolved lenses from all over the flat
-    raw_noise: float  # as `noise`, before shading is corrected
+__all__ = ["estimate_part", "locate_part_edges", "prepare_flat"]
 
 
 def prepare_flat(
@@ -52,51 +46,31 @@ def prepare_flat(
     return make_gray_flat(flat, calibration, factor), lattice, factor
 
 
-def estimate_depth_map(
-    gray: GrayFlat, lattice: Lattice, preset: str, shortcuts: Shortcuts
-) -> DepthMap:
-    """Depth of a flat about which nothing is known."""
+def estimate_part(part: Part, shortcuts: Shortcuts) -> DepthMap:
+    """Depth of every lens of a part, with a surface whose edges are those of lenses."""
+    options = PRESETS[part.preset]
+    gray = part.gray
+    lattice = part.lattice
+    whole = part.whole
+    before = part.before
     statistics = sample_statistics(gray)
-    blank = (
-        find_textureless(gray, lattice, statistics, PRESETS[preset]) if shortcuts.blank else None
-    )
-    return estimate_lens_by_lens(gray, lattice, preset, shortcuts, statistics, blank)
-
-
-def estimate_lens_by_lens(
-    gray: GrayFlat,
-    lattice: Lattice,
-    preset: str,
-    shortcuts: Shortcuts,
-    statistics: LensStatistics,
-    blank: NDArray[np.bool_] | None,
-    kept: NDArray[np.bool_] | None = None,
-    before: DepthMap | None = None,
-    overview: SceneStatistics | None = None,
-) -> DepthMap:
-    """Depth of every lens, but for the `blank` ones (n,) and those `kept` (n,), which have that of
-    `before`.
-    """
-    options = PRESETS[preset]
-    neighbours = neighbours_of(lattice)
-    # Lenses that keep their depth support their neighbours with it.
-    updated = np.ones(len(lattice), bool) if kept is None else ~kept
-    noise = None if overview is None else overview.noise
-    texture = find_texture(
-        gray, lattice, statistics, blank, dilate_mask(updated, neighbours.all), noise
-    )
+    blank = None
+    if shortcuts.blank:
+        raw_noise = None if whole is None else whole.raw_noise
+        near = part.near_updated(2)
+        blank = find_textureless(gray, lattice, statistics, options, raw_noise, near)
+    noise = None if whole is None else whole.noise
+    texture = find_texture(gray, lattice, statistics, blank, part.near_updated(), noise)
     textured = texture.clear | texture.faint
-    active = updated if blank is None else updated & textured
+    active = part.updated if blank is None else part.updated & textured
     sample = None
-    if shortcuts.ranges and overview is None:
-        sample = _sample_depths(neighbours.indices, texture.clear, active)
-    lenses = LensSet(texture, neighbours, updated, active, sample)
-    sizes = (
-        overview.sizes
-        if overview is not None and shortcuts.ranges and len(overview.sizes)
-        else None
-    )
-    single = estimate_lenses(lenses, options, before, sizes)
+    sizes = None
+    if shortcuts.ranges and whole is None:
+        sample = _sample_depths(part.neighbours.indices, texture.clear, active)
+    if shortcuts.ranges and whole is not None and len(whole.sizes):
+        sizes = whole.sizes
+    lenses = LensSet(part, texture, active, sample, sizes)
+    single = estimate_lenses(lenses, options)
     saved = {}
     if shortcuts.blank:
         saved["blank"] = 0.0 if blank is None else float(1 - textured.mean())
@@ -104,13 +78,11 @@ def estimate_lens_by_lens(
         saved["ranges"] = single.match.skipped_share
     estimates = single.smooth(lenses)
     resolved = estimates.resolved
-    occurring = estimates.patch_size[resolved] if overview is None else overview.sizes
+    occurring = estimates.patch_size[resolved] if whole is None else whole.sizes
     filled = estimates.filled_patch_size
     seconds = _find_second_depths(lenses, estimates, filled, occurring, options, shortcuts)
     # Unresolved lenses count little beside the confidence of others.
     weight = np.where(resolved, estimates.confidence, 0.05).astype(np.float32)
-    settled = None if kept is None else ~dilate_mask(updated, neighbours.all)
-    old = None if before is None else before.surface
     surface = densify(
         texture.flat,
         lattice,
@@ -119,8 +91,8 @@ def estimate_lens_by_lens(
         weight,
         texture.noise,
         options.surface_cells,
-        settled,
-        old,
+        ~part.near_updated(),
+        None if before is None else _coarse_surface(before.surface, lattice, options),
     )
     return DepthMap(
         patch_size=np.where(resolved, estimates.patch_size, np.nan),
@@ -130,10 +102,40 @@ def estimate_lens_by_lens(
         surface=surface,
         pitch=lattice.pitch,
         image_size=lattice.image_size,
-        preset=preset,
+        preset=part.preset,
         reason=estimates.reason,
         saved=saved,
     )
+
+
+def locate_part_edges(part: Part, depth: DepthMap) -> DepthMap:
+    """The depth map with its edges on the pixels; far from lenses that are estimated, those of the
+    earlier frame.
+    """
+    if part.before is None:
+        return locate_edges(part.gray, part.lattice, depth)
+    near = part.near_updated()
+    after = locate_edges(part.gray, part.lattice, depth, near)
+    old = part.before.surface
+    new = after.surface
+    values = new.patch_size
+    finer = round(new.spacing / old.spacing)
+    if finer > 1:
+        values = refine_grid(values, finer, TOLERANCE * part.lattice.pitch)
+        new = Surface(values, old.first, old.spacing)
+    if values.shape != old.patch_size.shape:
+        return after
+    keep = ~places_of_lenses(near, part.lattice, new)
+    return replace(after, surface=replace(new, patch_size=np.where(keep, old.patch_size, values)))
+
+
+def _coarse_surface(surface: Surface, lattice: Lattice, preset: Preset) -> Surface:
+    """The surface on the grid that it has before edges are located."""
+    _, first, spacing = grid_shape(lattice, preset.surface_cells)
+    finer = round(spacing / surface.spacing)
+    if finer <= 1:
+        return surface
+    return Surface(surface.patch_size[::finer, ::finer].copy(), first, spacing)
 
 
 def _sample_depths(
@@ -165,10 +167,10 @@ def _find_second_depths(
         occurs_among(estimates.second, occurring, gap), estimates.second, np.nan
     )
     if preset.second_layer:
-        correlation = np.where(lenses.updated, estimates.match.correlation, 1)
+        correlation = np.where(lenses.part.updated, estimates.match.correlation, 1)
         tried = occurring if shortcuts.ranges else None
         rest = find_second_layer(
-            lenses.texture, lenses.neighbours, filled, correlation, preset, tried
+            lenses.texture, lenses.part.neighbours, filled, correlation, preset, tried
         )
         # Shading matches itself near zero: a depth there must occur by itself.
         rest[
@@ -176,5 +178,5 @@ def _find_second_depths(
         ] = np.nan
         others[:, 1] = rest
         # Beside a second layer, the second-best match is mostly a rougher value of it.
-        others[dilate_mask(np.isfinite(rest), lenses.neighbours.all), 0] = np.nan
+        others[dilate_mask(np.isfinite(rest), lenses.part.neighbours.all), 0] = np.nan
     return others

@@ -1,11 +1,13 @@
-"""Analysis of a part of a flat: cropping the flat and its lattice, and embedding the depth of the
-part again.
+"""Parts of a flat that are analysed: a region of interest, a tile, or what has changed in a frame.
+
+A flat and its lattice are cropped, and the depth of the part is embedded into that of the whole.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -17,11 +19,13 @@ from ..data.depth_file import camera_digest
 from ..data.depth_map import REASONS, DepthMap
 from ..data.surface import Surface
 from ..flat.gray_flat import GrayFlat
-from ..flat.neighbours import neighbours_of
+from ..flat.lens_graph import dilate_mask
+from ..flat.neighbours import Neighbours, neighbours_of
 
 __all__ = [
+    "Part",
+    "WholeFlat",
     "check_region",
-    "crop_flat",
     "crop_lattice",
     "embed_region",
     "empty_lenses",
@@ -70,24 +74,77 @@ def select_lenses(roi: tuple[float, float, float, float], lattice: Lattice) -> N
     return inside
 
 
-def crop_flat(
-    gray: GrayFlat, lattice: Lattice, inside: NDArray[np.bool_]
-) -> tuple[GrayFlat, Lattice]:
-    """Crop a flat and its lattice to the lenses `inside` and those around that support them."""
-    centres = lattice.centres()[inside]
-    size = np.array(lattice.image_size)
-    # The reach of the shading correction. Parts end at multiples of a pitch: the next frame mostly
-    # has the same part.
-    around = 4.5 * lattice.pitch
-    step = int(np.ceil(lattice.pitch))
-    low = np.maximum(0, np.floor((centres.min(0) - around) / step) * step).astype(int)
-    high = np.minimum(size, np.ceil((centres.max(0) + around) / step) * step + 1).astype(int)
-    sub = lattice.derived(_crop, *low.tolist(), *high.tolist())
-    image = np.ascontiguousarray(gray.image[low[1] : high[1], low[0] : high[0]])
-    kinds = None if gray.lens_type is None else gray.lens_type[rows_of(sub, lattice)]
-    return replace(
-        gray, image=image, centres=sub.centres().astype(np.float32), lens_type=kinds
-    ), sub
+@dataclass(frozen=True)
+class WholeFlat:
+    """What the analysis of a part needs to know of the whole flat."""
+
+    noise: float  # standard deviation of a pixel, white = 1
+    sizes: NDArray[np.float32]  # (m,) [px] patch sizes of resolved lenses from all over the flat
+    raw_noise: float  # as `noise`, before shading is corrected
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of a flat to analyse, and what is known of the whole."""
+
+    gray: GrayFlat
+    lattice: Lattice
+    preset: str
+    whole: WholeFlat | None = None
+    before: DepthMap | None = None  # of an earlier frame, in pixels of `gray`
+    changed: NDArray[np.bool_] | None = None  # (n,) lenses that do not keep that depth; None: all
+
+    @cached_property
+    def updated(self) -> NDArray[np.bool_]:
+        """(n,) bool: lenses to estimate."""
+        return np.ones(len(self.lattice), bool) if self.changed is None else self.changed
+
+    @property
+    def kept_sizes(self) -> NDArray[np.float32]:
+        """(n,) [px] patch sizes of lenses that keep them, NaN for those to estimate."""
+        nothing = np.full(len(self.lattice), np.nan, np.float32)
+        if self.before is None:
+            return nothing
+        return np.where(self.updated, nothing, self.before.filled_patch_size)
+
+    @property
+    def kept_resolved(self) -> NDArray[np.bool_]:
+        """(n,) bool: lenses that keep a patch size that was measured."""
+        if self.before is None:
+            return ~self.updated
+        return ~self.updated & (self.before.reason == 0)
+
+    @property
+    def neighbours(self) -> Neighbours:
+        return neighbours_of(self.lattice)
+
+    def near_updated(self, steps: int = 1) -> NDArray[np.bool_]:
+        """(n,) bool: lenses to estimate, and those so many steps about them."""
+        near = self.updated
+        for _ in range(steps):
+            near = dilate_mask(near, self.neighbours.all)
+        return near
+
+    def crop(self, inside: NDArray[np.bool_]) -> Part:
+        """The part about the lenses `inside` (n,) and those around that support them."""
+        gray = self.gray
+        pitch = self.lattice.pitch
+        centres = self.lattice.centres()[inside]
+        size = np.array(self.lattice.image_size)
+        # The reach of the shading correction. Parts end at multiples of a pitch: the next frame
+        # mostly has the same part.
+        around = 4.5 * pitch
+        step = int(np.ceil(pitch))
+        low = np.maximum(0, np.floor((centres.min(0) - around) / step) * step).astype(int)
+        high = np.minimum(size, np.ceil((centres.max(0) + around) / step) * step + 1).astype(int)
+        lattice = self.lattice.derived(_crop, *low.tolist(), *high.tolist())
+        image = np.ascontiguousarray(gray.image[low[1] : high[1], low[0] : high[0]])
+        kinds = gray.lens_type
+        if kinds is not None:
+            kinds = kinds[rows_of(lattice, self.lattice)]
+        middles = lattice.centres().astype(np.float32)
+        gray = replace(gray, image=image, centres=middles, lens_type=kinds)
+        return replace(self, gray=gray, lattice=lattice)
 
 
 def _crop(lattice: Lattice, left: int, top: int, right: int, bottom: int) -> Lattice:

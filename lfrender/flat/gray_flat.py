@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,10 +39,6 @@ class GrayFlat:
     pitch: float
     lens_type: NDArray[np.int8] | None = None  # (n,) if lenses are focused at different depths
     rounding: float = 0.0  # standard deviation that rounding to integers leaves at least
-    # Microimages that have been cut out, by the step between the rows that are read together.
-    strips: dict[int, Any] = field(default_factory=dict, init=False, repr=False)
-    # The flat at fractions of its resolution, by the factor.
-    _smaller: dict[int, GrayFlat] = field(default_factory=dict, init=False, repr=False)
 
     def downsampled(self, factor: int) -> GrayFlat:
         """The flat at a whole fraction of its resolution: each pixel is the mean of `factor` x
@@ -51,9 +46,19 @@ class GrayFlat:
         """
         if factor == 1:
             return self
-        if factor not in self._smaller:
-            self._smaller[factor] = _downsample(self, factor)
-        return self._smaller[factor]
+        import cv2
+
+        height, width = (n // factor for n in self.image.shape)
+        whole = self.image[: height * factor, : width * factor]
+        image = cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA)
+        return GrayFlat(
+            np.asarray(image, np.float32),
+            ((self.centres + 0.5) / factor - 0.5).astype(np.float32),
+            self.radius / factor - _MIXED,
+            self.pitch / factor,
+            self.lens_type,
+            self.rounding / factor,
+        )
 
 
 def correction_tables(calibration: Calibration) -> tuple[NDArray[np.float32], float]:
@@ -307,15 +312,3 @@ def trusted_radius(calibration: Calibration) -> float:
         if uneven.any():
             radius = min(radius, max(float(distance[uneven.argmax()]), least))
     return radius
-
-
-def _downsample(gray: GrayFlat, factor: int) -> GrayFlat:
-    import cv2
-
-    height, width = (n // factor for n in gray.image.shape)
-    whole = gray.image[: height * factor, : width * factor]
-    image = np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), np.float32)
-    centres = ((gray.centres + 0.5) / factor - 0.5).astype(np.float32)
-    radius = gray.radius / factor - _MIXED
-    pitch = gray.pitch / factor
-    return GrayFlat(image, centres, radius, pitch, gray.lens_type, gray.rounding / factor)

@@ -9,7 +9,7 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from lfcal import Lattice
-from lfcal.runtime.kernels import FAST, kernel
+from lfcal.runtime.kernels import FAST
 
 __all__ = [
     "count_connected",
@@ -25,28 +25,6 @@ __all__ = [
 ]
 
 
-@kernel(share=lambda mask, rows, *_: len(rows))
-def _count_in_mask(begin, end, mask, rows, out):
-    for lens in range(begin, end):
-        count = 0
-        for k in range(rows.shape[1]):
-            other = rows[lens, k]
-            if other >= 0 and mask[other]:
-                count += 1
-        out[lens] = count
-
-
-@kernel(share=lambda mask, sizes, rows, *_: len(rows))
-def _count_similar(begin, end, mask, sizes, rows, gap, out):
-    for lens in range(begin, end):
-        count = 0
-        for k in range(rows.shape[1]):
-            other = rows[lens, k]
-            if other >= 0 and mask[other] and abs(sizes[other] - sizes[lens]) <= gap:
-                count += 1
-        out[lens] = count
-
-
 def count_connected(mask: NDArray[np.bool_], rows: NDArray[np.int32]) -> NDArray[np.int64]:
     """(n,) number of neighbours, by `rows` (n, k), in `mask` (n,) of each lens in it; 0 for the
     other lenses.
@@ -56,18 +34,16 @@ def count_connected(mask: NDArray[np.bool_], rows: NDArray[np.int32]) -> NDArray
 
 def count_neighbours(mask: NDArray[np.bool_], rows: NDArray[np.int32]) -> NDArray[np.int64]:
     """(n,) number of neighbours, by `rows` (n, k), of each lens that are in `mask` (n,)."""
-    count = np.empty(len(rows), np.int64)
-    _count_in_mask(mask, rows, count)
-    return count
+    # Where there is no neighbour, -1 is the row of the last value.
+    return np.asarray(np.append(mask, False).take(rows.T).sum(0))
 
 
 def count_similar(
     mask: NDArray[np.bool_], sizes: NDArray, rows: NDArray[np.int32], gap: float
 ) -> NDArray[np.int64]:
     """(n,) number of neighbours in `mask` (n,) whose patch size (n,) differs by at most `gap`."""
-    count = np.empty(len(rows), np.int64)
-    _count_similar(mask, sizes, rows, sizes.dtype.type(gap), count)
-    return count
+    similar = np.abs(sizes.take(rows.T) - sizes) <= gap
+    return np.asarray((np.append(mask, False).take(rows.T) & similar).sum(0))
 
 
 def dilate_mask(mask: NDArray[np.bool_], neighbours: NDArray[np.int32]) -> NDArray[np.bool_]:

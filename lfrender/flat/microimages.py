@@ -9,7 +9,6 @@ depends on the whole pixels of the shift only: a mask marks them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -25,11 +24,11 @@ __all__ = [
     "VECTOR_LENGTH",
     "OverlapMasks",
     "Strips",
+    "allocate_strips",
     "bilinear_weights",
     "copy_box",
     "extract_strips",
     "make_shift_masks",
-    "overlap_range",
     "row_of_disc",
 ]
 
@@ -39,8 +38,7 @@ VECTOR_LENGTH = 64
 _ROUNDING = 0.25
 
 
-@dataclass(frozen=True)
-class Strips:
+class Strips(NamedTuple):
     """Microimages as strips of equal length.
 
     Row `r` of a microimage is row `r // step` of part `r % step` of its strip, so that the rows
@@ -51,37 +49,18 @@ class Strips:
     # One strip after the other, minus the mean of its lens. Values off the flat are arbitrary,
     # values after the last strip are 0.
     values: NDArray[np.float32]
-    centre_pixels: NDArray[np.int32]  # (n, 2) pixel `x, y` in the middle of each microimage
-    complete: NDArray[np.bool_]  # (n,) microimages that lie within the flat
+    middle: NDArray[np.int32]  # (n, 2) pixel `x, y` in the middle of each microimage
+    whole: NDArray[np.bool_]  # (n,) microimages that lie within the flat
     extracted: NDArray[np.bool_]  # (n,) microimages that have been cut out
-    half_width: int  # [px] from the middle to the sides
+    # Offset x, y from the middle [px] of each value of the first part of a strip; infinite after
+    # its end.
+    columns: NDArray[np.float32]
+    lines: NDArray[np.float32]
+    half: int  # [px] from the middle to the sides
     width: int  # [px] of a row
     rows: int  # number of rows of a part
     step: int  # number of parts
-
-    @property
-    def size(self) -> int:
-        return self.rows * self.step * self.width
-
-    @property
-    def offsets(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Offset x, y from the middle [px] of each value of the first part of a strip; infinite
-        after its end.
-        """
-        return _offsets(self.half_width, self.width, self.rows, self.step)
-
-
-@lru_cache(maxsize=8)
-def _offsets(
-    half: int, width: int, rows: int, step: int
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    at = np.arange(rows * width)
-    off = np.full(VECTOR_LENGTH, np.inf)
-    columns, lines = (
-        np.append(place - half, off).astype(np.float32)
-        for place in (at % width, at // width * step)
-    )
-    return columns, lines
+    flat_size: tuple[int, int]  # [px] height and width of the flat
 
 
 class OverlapMasks(NamedTuple):
@@ -141,126 +120,73 @@ def row_of_disc(y, x, radius, low, high):
     return first, max(min(high, int(np.floor(x + half))) + 1 - first, 0)
 
 
-@kernel(fastmath=FAST, error_model="numpy", share=lambda image, middle, *_: len(middle))
-def _extract(begin, end, image, middle, means, half, width, rows, step, wanted, done, values):
+@kernel(fastmath=FAST, error_model="numpy", share=lambda image, strips, _: len(strips.middle))
+def _extract(begin, end, image, strips, wanted):
     pixels = image.reshape(-1)
     across = image.shape[1]
+    half = strips.half
+    width = strips.width
+    rows = strips.rows
+    step = strips.step
     size = rows * step * width
     for lens in range(begin, end):
-        if done[lens] or not (wanted.size == 0 or wanted[lens]):
+        if strips.extracted[lens] or not wanted[lens]:
             continue
-        done[lens] = True
-        strip = values[lens * size : (lens + 1) * size]
-        left = middle[lens, 0] - half
-        top = middle[lens, 1] - half
+        strips.extracted[lens] = True
+        strip = strips.values[lens * size : (lens + 1) * size]
+        left = strips.middle[lens, 0] - half
+        top = strips.middle[lens, 1] - half
         for part in range(step):
             copy_box(
                 pixels, across, left, top + part, rows, width, strip, part * rows * width, step
             )
-        mean = means[lens]
+        mean = strips.means[lens]
         for k in range(np.uint64(size)):
             strip[k] -= mean
 
 
-def extract_strips(
-    gray: GrayFlat, means: NDArray[np.float32], step: int, wanted: NDArray[np.bool_] | None = None
-) -> Strips:
-    """Cut out the `wanted` microimages (n,), minus the `means` (n,) of each, for reading every
-    `step`-th row.
+def extract_strips(strips: Strips, gray: GrayFlat, wanted: NDArray[np.bool_]) -> None:
+    """Cut out the `wanted` microimages (n,) of a flat that have not been cut out yet."""
+    _extract(gray.image, strips, wanted)
 
-    The strips are cached with the flat, for the same means and step.
+
+def allocate_strips(gray: GrayFlat, means: NDArray[np.float32], step: int) -> Strips:
+    """Memory for the microimages of a flat, minus the `means` (n,) of each, of which every
+    `step`-th row is read.
     """
-    strips = gray.strips.get(step)
-    if strips is None or strips.means is not means:
-        strips = gray.strips[step] = _allocate_strips(gray, means, step)
-    _extract(
-        gray.image,
-        strips.centre_pixels,
-        means,
-        strips.half_width,
-        strips.width,
-        strips.rows,
-        strips.step,
-        np.empty(0, bool) if wanted is None else wanted,
-        strips.extracted,
-        strips.values,
-    )
-    return strips
-
-
-def _allocate_strips(gray: GrayFlat, means: NDArray[np.float32], step: int) -> Strips:
     # Interpolation between the outermost pixels reads one pixel beyond them, to all sides.
     half = max(1, int(gray.radius - _ROUNDING)) + 2
     width = 2 * half + 1
     rows = -(-width // step)
     middle = np.rint(gray.centres).astype(np.int32)
-    inside = (middle >= half) & (middle + half < np.array(gray.image.shape[::-1]))
+    height, across = gray.image.shape
+    inside = (middle >= half) & (middle + half < np.array([across, height]))
     # Vector loops read beyond the end of a strip, where values must be numbers. The memory of
     # strips that are not cut out is not touched.
     values = np.zeros(len(middle) * rows * step * width + VECTOR_LENGTH + width, np.float32)
+    line, column = np.divmod(np.arange(rows * width), width)
+    off = np.full(VECTOR_LENGTH, np.inf, np.float32)
     return Strips(
         means,
         values,
         middle,
         inside[:, 0] & inside[:, 1],
         np.zeros(len(middle), bool),
+        np.append((column - half).astype(np.float32), off),
+        np.append((line * step - half).astype(np.float32), off),
         half,
         width,
         rows,
         step,
+        (height, across),
     )
-
-
-@njit(inline="always")
-def overlap_range(dx, dy, half, width, step, bunch):
-    """First position in a strip that another microimage, shifted by `dx, dy` pixels, may show too,
-    and the number of positions, a multiple of `bunch`. It is 0 or less if there is none.
-    """
-    first = -(min(0, dy) // step) * width + max(0, -dx)
-    number = ((2 * half - 1 - max(0, dy)) // step + 1) * width - first
-    return first, (number + bunch - 1) // bunch * bunch
-
-
-@kernel(fastmath=FAST)
-def _fill_masks(slots, reach, half, width, rows, step, radius2, masks, ends, counts):
-    for dy in range(-reach, reach + 1):
-        for dx in range(-reach, reach + 1):
-            slot = slots[dy + reach, dx + reach]
-            if slot < 0:
-                continue
-            start = rows * width
-            stop = 0
-            count = 0
-            for r in range(rows):
-                y = r * step - half
-                for c in range(width):
-                    x = c - half
-                    # The other microimage is interpolated between four pixels; their middle must
-                    # lie within it.
-                    bx = x + dx + 0.5
-                    by = y + dy + 0.5
-                    inside = x * x + y * y <= radius2 and bx * bx + by * by <= radius2
-                    masks[slot, r * width + c] = inside
-                    if inside:
-                        start = min(start, r * width + c)
-                        stop = r * width + c + 1
-                        count += 1
-            ends[slot, 0] = start
-            ends[slot, 1] = (
-                (max(stop - start, 0) + VECTOR_LENGTH - 1) // VECTOR_LENGTH * VECTOR_LENGTH
-            )
-            ends[slot, 2] = ((dy % step) * rows + dy // step) * width + dx
-            ends[slot, 3] = (((dy + 1) % step) * rows + (dy + 1) // step) * width + dx
-            counts[slot] = count
 
 
 def make_shift_masks(strips: Strips, radius: float, wanted: NDArray[np.int64]) -> OverlapMasks:
     """Masks of the pixels that two microimages of this `radius` [px] share at each of the shifts
     `wanted` (m, 2), and up to a pixel farther. They are cached and must not be changed.
     """
-    return _masks_of(
-        strips.half_width, strips.width, strips.rows, strips.step, radius, wanted.tobytes()
-    )
+    return _masks_of(strips.half, strips.width, strips.rows, strips.step, radius, wanted.tobytes())
 
 
 @lru_cache(maxsize=8)
@@ -273,20 +199,21 @@ def _masks_of(
     used = np.zeros((side, side), bool)
     used[wanted[:, 1] + reach, wanted[:, 0] + reach] = True
     slots = np.where(used, np.cumsum(used.ravel()).reshape(side, side) - 1, -1).astype(np.int32)
-    count = int(used.sum())
-    masks = np.zeros((count, rows * width + VECTOR_LENGTH), np.float32)
-    ends = np.empty((count, 4), np.int32)
-    counts = np.empty(count, np.int32)
-    _fill_masks(
-        slots,
-        reach,
-        half,
-        width,
-        rows,
-        step,
-        max(radius - _ROUNDING, 1.0) ** 2,
-        masks,
-        ends,
-        counts,
-    )
-    return OverlapMasks(slots, masks, ends, counts)
+    dy, dx = np.argwhere(used).T - reach
+    radius2 = max(radius - _ROUNDING, 1.0) ** 2
+    line, column = np.divmod(np.arange(rows * width), width)
+    x = column - half
+    y = line * step - half
+    # The other microimage is interpolated between four pixels; their middle must lie within it.
+    from_x = np.square(x + dx[:, None] + 0.5)
+    from_y = np.square(y + dy[:, None] + 0.5)
+    inside = (x * x + y * y <= radius2) & (from_x + from_y <= radius2)
+    masks = np.zeros((len(dx), rows * width + VECTOR_LENGTH), np.float32)
+    masks[:, : rows * width] = inside
+    some = inside.any(1)
+    start = np.where(some, inside.argmax(1), rows * width)
+    stop = np.where(some, rows * width - inside[:, ::-1].argmax(1), start)
+    whole = -(-(stop - start) // VECTOR_LENGTH) * VECTOR_LENGTH
+    there = [((move % step) * rows + move // step) * width + dx for move in (dy, dy + 1)]
+    ends = np.stack([start, whole, *there], 1).astype(np.int32)
+    return OverlapMasks(slots, masks, ends, inside.sum(1, dtype=np.int32))

@@ -13,26 +13,6 @@ from lfcal.runtime.kernels import kernel
 __all__ = ["Neighbours", "neighbours_of"]
 
 
-@kernel
-def _follow(following, before, order, starts):
-    """Fill `order` with all straight rows of lenses in turn, `starts` with the start of each;
-    return their number.
-    """
-    count = chains = 0
-    for first in range(len(following)):
-        if before[first] >= 0:
-            continue
-        starts[chains] = count
-        chains += 1
-        lens = first
-        while lens >= 0:
-            order[count] = lens
-            count += 1
-            lens = following[lens]
-    starts[chains] = count
-    return chains
-
-
 @kernel(error_model="numpy", share=lambda neighbours, out: len(out))
 def _find_two_rings(begin, end, neighbours, out):
     """Write the neighbours of each lens and their neighbours, each once, into `out` (n, m)."""
@@ -115,16 +95,16 @@ class Neighbours:
     @cached_property
     def chains(self) -> list[tuple[NDArray[np.int32], NDArray[np.int64]]]:
         """Straight rows of lenses in all directions, and where each of them starts."""
-        found = []
-        opposite = np.hstack([self.backward, self.forward])
-        for ahead, behind in zip(self.all.T, opposite.T, strict=True):
-            order = np.empty(len(ahead), np.int32)
-            starts = np.empty(len(ahead) + 1, np.int64)
-            count = _follow(
-                np.ascontiguousarray(ahead), np.ascontiguousarray(behind), order, starts
-            )
-            found.append((order, starts[: count + 1].copy()))
-        return found
+        forward = []
+        backward = []
+        for (across, down), ahead in zip(self._nearest, self.forward.T, strict=False):
+            i, j = self.indices.T
+            order = np.lexsort((i * across + j * down, i * down - j * across)).astype(np.int32)
+            starts = np.flatnonzero(ahead[order[:-1]] != order[1:]) + 1
+            starts = np.concatenate([[0], starts, [len(order)]])
+            forward.append((order, starts))
+            backward.append((order[::-1].copy(), len(order) - starts[::-1]))
+        return forward + backward
 
     @cached_property
     def two_rings(self) -> NDArray[np.int32]:

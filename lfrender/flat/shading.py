@@ -19,7 +19,7 @@ from lfcal.runtime.kernels import FAST, kernel, square
 
 from .gray_flat import GrayFlat
 from .lens_graph import count_neighbours
-from .microimages import extract_strips, row_of_disc
+from .microimages import Strips, extract_strips, row_of_disc
 from .neighbours import neighbours_of
 
 __all__ = ["LARGEST_SHADING", "remove_shading"]
@@ -35,14 +35,16 @@ def _subtract_shading(
     """Subtract the common pattern from the `wanted` lenses; `near` (n, k) are rows of the lenses
     that share theirs.
 
-    `strips` are values (n size,) of square windows, their middle pixels (n, 2), which are complete,
-    and half their width. They are laid over each other by whole pixels: shading is smooth.
+    `strips` are read in one part. They are laid over each other by whole pixels: shading is smooth.
     """
     height, across = image.shape
-    values, middle, complete, half = strips
+    values = strips.values
+    middle = strips.middle
+    whole = strips.whole
+    half = strips.half
     pixels = image.reshape(-1)
     into = out.reshape(-1)
-    width = 2 * half + 1
+    width = strips.width
     size = np.uint64(width * width)
     shade = np.empty(size, np.float32)
     for lens in range(begin, end):
@@ -53,7 +55,7 @@ def _subtract_shading(
         for r in range(near.shape[1]):
             other = near[lens, r]
             # Lenses cut by the border of the flat hold only part of the microimage.
-            if other >= 0 and complete[other]:
+            if other >= 0 and whole[other]:
                 weight = weights[other]
                 at = np.uint64(other) * size
                 total += weight
@@ -108,7 +110,7 @@ def _steps_to_same_type(lattice: Lattice) -> NDArray[np.int64]:
 def remove_shading(
     gray: GrayFlat,
     lattice: Lattice,
-    means: NDArray[np.float32],
+    strips: Strips,
     contrast: NDArray[np.float32],
     wanted: NDArray[np.bool_],
     others: GrayFlat | None = None,
@@ -116,8 +118,9 @@ def remove_shading(
     """`gray` without the pattern that the lenses of its type around each `wanted` lens (n,) have in
     common.
 
-    `means` and `contrast` (n,) are of each microimage; `others` is `gray` without the shading of
-    other lenses: it is changed and returned.
+    `strips` are the microimages of `gray` in one part, those that are needed are cut out; `contrast`
+    (n,) is that of each. `others` is `gray` without the shading of other lenses: it is changed and
+    returned.
     """
     if others is not None and not wanted.any():
         return others
@@ -125,10 +128,7 @@ def remove_shading(
     weights = (0.01**2 / (0.01**2 + contrast**2)).astype(np.float32)
     near = neighbours_of(lattice).rows(_steps_to_same_type(lattice))
     # The lenses to be read; for every step there is the opposite one.
-    strips = extract_strips(
-        gray, means, 1, None if wanted.all() else count_neighbours(wanted, near) > 0
-    )
-    table = strips.values, strips.centre_pixels, strips.complete, strips.half_width
+    extract_strips(strips, gray, count_neighbours(wanted, near) > 0)
     if others is None:
         out = np.empty(gray.image.shape, np.float32)
         np.copyto(out, gray.image)
@@ -142,7 +142,7 @@ def remove_shading(
         weights,
         contrast,
         np.float32(gray.radius),
-        table,
+        strips,
         out,
     )
     return dataclasses.replace(gray, image=out)

@@ -19,6 +19,7 @@ from lfcal.runtime.kernels import FAST, kernel
 
 from .gray_flat import GrayFlat
 from .lens_graph import dilate_mask
+from .microimages import allocate_strips
 from .neighbours import neighbours_of
 from .shading import remove_shading
 
@@ -187,13 +188,14 @@ def find_texture(
     """
     wanted = np.ones(len(plain.mean), bool) if wanted is None else wanted
     first = wanted if blank is None else wanted & ~blank
-    flattened = remove_shading(gray, lattice, plain.mean, plain.contrast, first)
+    strips = allocate_strips(gray, plain.mean, 1)
+    flattened = remove_shading(gray, lattice, strips, plain.contrast, first)
     found = measure_statistics(flattened, known=plain, wanted=first)
     if blank is not None:
         # Lenses with texture are matched with those beside them.
         some = _has_any(found, found.noise if known_noise is None else known_noise)
         beside = wanted & ~first & dilate_mask(some & first, neighbours_of(lattice).all)
-        flattened = remove_shading(gray, lattice, plain.mean, plain.contrast, beside, flattened)
+        flattened = remove_shading(gray, lattice, strips, plain.contrast, beside, flattened)
         found = measure_statistics(flattened, found, beside)
     noise = found.noise if known_noise is None else known_noise
     clear = _is_clear(found, noise)

@@ -22,13 +22,12 @@ from lfcal.runtime.progress import Progress, Step, show_progress
 from ..data.depth_map import DepthMap
 from ..data.flat_samples import sample_flat
 from ..data.surface import Surface
-from ..depth.edges.locate_edges import FINER, locate_edges, refine_grid
-from ..depth.pipeline import SceneStatistics, estimate_lens_by_lens
+from ..depth.edges.locate_edges import FINER, refine_grid
+from ..depth.pipeline import estimate_part, locate_part_edges
 from ..depth.presets import PRESETS, Shortcuts
-from ..depth.region import empty_lenses, rescale_depth, rows_of
+from ..depth.region import Part, WholeFlat, empty_lenses, rescale_depth, rows_of
 from ..depth.same_surface import TOLERANCE
 from ..depth.surface.scene_grid import grid_shape
-from ..depth.validity.textureless import find_textureless
 from ..flat.gray_flat import GrayFlat, make_gray_flat
 from ..flat.gray_flat import has_uneven_lenses as uneven_lenses
 from ..flat.lens_blur import find_lens_blur
@@ -99,9 +98,7 @@ def analyze_large(
     plain, rough, sizes = map(
         np.concatenate, zip(*workers.map(_survey_window, flat, windows, _Flat.read), strict=True)
     )
-    flat = replace(
-        flat, overview=SceneStatistics(estimate_noise(rough), sizes, estimate_noise(plain))
-    )
+    flat = replace(flat, whole=WholeFlat(estimate_noise(rough), sizes, estimate_noise(plain)))
     tiles = lens_tiles(
         calibration.lattice,
         flat.factor,
@@ -146,7 +143,7 @@ class _Flat:
     reader: TileReader
     preset: str
     shortcuts: Shortcuts
-    overview: SceneStatistics | None = None
+    whole: WholeFlat | None = None
 
     @property
     def factor(self) -> int:
@@ -184,7 +181,7 @@ def _survey_window(flat: _Flat, part: LensTile, pixels: Array) -> tuple[Singles,
     gray = flat.gray_tile(part, pixels)
     plain = sample_statistics(gray)
     texture = find_texture(gray, part.lattice, plain)
-    depth = estimate_lens_by_lens(gray, part.lattice, flat.preset, Shortcuts.of(False), plain, None)
+    depth = estimate_part(Part(gray, part.lattice, flat.preset), Shortcuts.of(False))
     known = part.inside & ~depth.filled
     return (
         plain.roughness[part.inside],
@@ -193,20 +190,12 @@ def _survey_window(flat: _Flat, part: LensTile, pixels: Array) -> tuple[Singles,
     )
 
 
-def _analyze_tile(flat: _Flat, part: LensTile, pixels: Array) -> DepthMap:
-    """Depth of the lenses of a part and its halo."""
-    gray = flat.gray_tile(part, pixels)
-    plain = sample_statistics(gray)
-    blank = None
-    if flat.shortcuts.blank and flat.overview is not None:
-        blank = find_textureless(
-            gray, part.lattice, plain, PRESETS[flat.preset], flat.overview.raw_noise
-        )
-    depth = estimate_lens_by_lens(
-        gray, part.lattice, flat.preset, flat.shortcuts, plain, blank, overview=flat.overview
-    )
+def _analyze_tile(flat: _Flat, tile: LensTile, pixels: Array) -> DepthMap:
+    """Depth of the lenses of a tile and its halo."""
+    part = Part(flat.gray_tile(tile, pixels), tile.lattice, flat.preset, flat.whole)
+    depth = estimate_part(part, flat.shortcuts)
     if PRESETS[flat.preset].edges:
-        depth = locate_edges(gray, part.lattice, depth)
+        depth = locate_part_edges(part, depth)
     return depth
 
 

@@ -7,7 +7,7 @@ overlaps taken into account.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -22,18 +22,20 @@ from ...flat.microimages import (
     Strips,
     bilinear_weights,
     make_shift_masks,
-    overlap_range,
 )
 from ...flat.texture import FIXED_PATTERN, LensStatistics
 
 __all__ = [
+    "PairTerms",
+    "Shifts",
     "compute_pair_costs",
-    "fill_mask",
     "half_weight_area",
     "match_cost",
     "overlap_area",
     "overlap_masks",
-    "strip_moments",
+    "pair_terms",
+    "pairs_of",
+    "shifts_from_zero",
 ]
 
 
@@ -58,21 +60,63 @@ def match_cost(count, sa, sb, squares, srr, difference, pixels, floor, half_weig
     return one - pixels / (pixels + half_weight) * (one - doubt) * (one - quality)
 
 
+class PairTerms(NamedTuple):
+    """What the costs of pairs depend on besides their pixels."""
+
+    centres: NDArray[np.float32]  # (n, 2) [px]
+    radius: np.float32  # [px]
+    pitch: np.float32  # [px]
+    means: NDArray[np.float32]  # (n,) [white = 1]
+    expected: NDArray[np.float32]  # (n,) [px] patch sizes from which shifts are counted
+    doubts: NDArray[np.float32]  # (n,) share of a match at zero that may be shading
+    noise2: np.float32  # variance of the noise
+    shading: np.float32  # [share of the mean]
+    half_weight: np.float32  # [px^2] overlap with half weight
+
+
+class Shifts(NamedTuple):
+    """Shifts that are tried."""
+
+    sizes: NDArray[np.float32]  # (k,) [px]
+    near_zero: NDArray[np.float32]  # (k,) share of `PairTerms.doubts` that counts
+    which: NDArray[np.int64]  # (m,) rows of those that are tried now
+
+
+class _Move(NamedTuple):
+    """From a lens to the place in another that shows the same."""
+
+    x: Any  # float32 [px]
+    y: Any
+    across: Any  # int: pixels from one middle to the other, to the upper left of the place
+    down: Any
+    weights: Any  # of the four pixels about the place
+
+
+class _Overlap(NamedTuple):
+    """Pixels that two strips share."""
+
+    count: Any  # float32: their number
+    first: Any  # int32: place of the first one in the first strip
+    number: Any  # int32: of those to read
+    upper: Any  # int32: from a place in the first strip to its partner in the second one
+    lower: Any  # int32: and to the pixel below that
+
+
 # The error model of NumPy, because Python's checks every division, which prevents vector loops.
 # Indices are unsigned, because signed ones are checked for counting from the end.
 @njit(fastmath=FAST, error_model="numpy", forceinline=True)
-def strip_moments(strips, own, other, upper, lower, masks, mask, count, weights):
-    """Sums over the masked pixels of one strip and the interpolated ones of another, `upper` and
-    `lower` values on: of both, of the squares of both, and of those of their difference.
+def _strip_moments(strips, own, other, overlap, masks, mask, weights):
+    """Sums over the masked pixels of one strip and the interpolated ones of another: of both, of
+    the squares of both, and of those of their differences.
     """
     one = np.uint64(1)
-    above = np.uint64(other + upper)
-    below = np.uint64(other + lower)
+    above = np.uint64(other + overlap.upper)
+    below = np.uint64(other + overlap.lower)
     a = np.uint64(own)
     m = np.uint64(mask)
     w00, w01, w10, w11 = weights
     sa = sb = squares = srr = np.float32(0.0)
-    for k in range(np.uint64(count)):
+    for k in range(np.uint64(overlap.number)):
         b = w00 * strips[above + k] + w01 * strips[above + one + k]
         b += w10 * strips[below + k] + w11 * strips[below + one + k]
         b *= masks[m + k]
@@ -107,20 +151,23 @@ def _mask_discs(columns, lines, start, count, discs, box, radius2, out):
 
 
 @njit(error_model="numpy", inline="always")
-def fill_mask(dx, dy, middle, other, discs, radius2, columns, lines, layout, size, out):
-    """Fill `out` with a mask of the pixels of a strip that have a partner in another, `dx, dy`
-    pixels away.
-
-    Returns their number, the first position and the number of those to read, and how many values
-    later in a strip follow the partner and the pixel below it.
+def _mask_pair(a, b, middle, other, move, radius2, columns, lines, shape, flat_size, out):
+    """Fill `out` with a mask of the pixels of a strip, of a lens with its centre at `a` and
+    `middle` its middle pixel, that have a partner in that of another at `b`.
     """
-    half, width, rows, step, bunch = layout
-    none = np.int32(0)
+    half, width, rows, step = shape
+    dx = move.across
+    dy = move.down
     count = np.float32(0.0)
-    first, number = overlap_range(dx, dy, half, width, step, bunch)
+    first = -(min(0, dy) // step) * width + max(0, -dx)
+    number = ((2 * half - 1 - max(0, dy)) // step + 1) * width - first
+    number = (number + VECTOR_LENGTH - 1) // VECTOR_LENGTH * VECTOR_LENGTH
     if number > 0:
+        x, y = middle
+        far_x, far_y = other
+        height, across = flat_size
+        discs = (a[0] - x, a[1] - y, b[0] - move.x - x, b[1] - move.y - y)
         # Interpolation reads one pixel beyond, and both microimages end at the border of the flat.
-        (x, y), (far_x, far_y), (height, across) = middle, other, size
         box = (
             np.float32(max(-half - dx, -x, -far_x - dx)),
             np.float32(max(-half - dy, -y, -far_y - dy)),
@@ -130,147 +177,95 @@ def fill_mask(dx, dy, middle, other, discs, radius2, columns, lines, layout, siz
         count = _mask_discs(columns, lines, first, number, discs, box, radius2, out)
     upper = ((dy % step) * rows + dy // step) * width + dx
     lower = (((dy + 1) % step) * rows + (dy + 1) // step) * width + dx
-    return count, np.int32(first), np.int32(max(number, none)), np.int32(upper), np.int32(lower)
+    return _Overlap(
+        count, np.int32(first), np.int32(max(number, 0)), np.int32(upper), np.int32(lower)
+    )
 
 
-class PairTerms(NamedTuple):
-    """What the cost of a pair depends on besides its pixels, as kernels take it."""
-
-    centres: NDArray[np.float32]  # (n, 2) [px]
-    radius: np.float32  # [px]
-    pitch: np.float32  # [px]
-    means: NDArray[np.float32]  # (n,) [white = 1]
-    doubts: NDArray[np.float32]  # (n,) share of a match at zero that may be shading
-    noise2: np.float32  # variance of the noise
-    shading: np.float32  # [share of the mean]
-    half_weight: np.float32  # [px^2] overlap with half weight
-
-
-class StripTable(NamedTuple):
-    """Microimages as `Strips` and the masks of the pixels that two of them share, as kernels take
-    them.
-    """
-
-    values: NDArray[np.float32]
-    middle: NDArray[np.int32]
-    whole: NDArray[np.bool_]
-    columns: NDArray[np.float32]
-    lines: NDArray[np.float32]
-    slots: NDArray[np.int32]
-    masks: NDArray[np.float32]
-    ends: NDArray[np.int32]
-    counts: NDArray[np.int32]
-    # Pixels from the middle to the sides, from row to row, rows of a part, parts, and vector
-    # length; size of the flat.
-    layout: tuple[int, int, int, int, int]
-    size: tuple[int, int]
+@njit(error_model="numpy", inline="always")
+def _move_between(a, b, middle, other, grow):
+    """From a lens with its centre at `a`, and `middle` its middle pixel, to another at `b`."""
+    x = (b[0] - a[0]) * grow
+    y = (b[1] - a[1]) * grow
+    whole_x = np.floor(x)
+    whole_y = np.floor(y)
+    across = int(whole_x) - other[0] + middle[0]
+    down = int(whole_y) - other[1] + middle[1]
+    return _Move(x, y, across, down, bilinear_weights(x - whole_x, y - whole_y))
 
 
-@kernel(error_model="numpy", share=lambda terms, rows, *_: len(rows))
-def _pair_costs(
-    begin,
-    end,
-    terms: PairTerms,
-    rows,
-    active,
-    done,
-    shifts,
-    expected,
-    near_zero,
-    which,
-    table: StripTable,
-    fresh,
-    out,
-):
-    centres, radius, pitch, means, doubts, noise2, shading, half_weight = terms
-    values, middle, whole, columns, lines, slots, masks, ends, counts, layout, flat_size = table
-    _, width, tall, step, _ = layout
-    size = tall * step * width
-    length = masks.shape[1]
-    line = masks.reshape(-1)
-    one = np.float32(1.0)
+@kernel(error_model="numpy", share=lambda terms, *_: len(terms.centres))
+def _pair_costs(begin, end, terms, strips, masks, rows, tried, out):
+    # Numba counts references each time that an array is taken out of a tuple: not in loops.
+    centres, radius, pitch, means, expected, doubts, noise2, shading, half_weight = terms
+    _, values, middle, whole, _, columns, lines, half, width, tall, step, flat_size = strips
+    slots, shared, ends, counts = masks
+    sizes, near_zero, which = tried
+    line = shared.reshape(-1)
+    length = shared.shape[1]
     own_mask = np.empty(length, np.float32)
     reach = len(slots) // 2
+    size = tall * step * width
+    shape = (half, width, tall, step)
+    radius2 = radius * radius
+    mid = np.float32(0.5)
     for lens in range(begin, end):
-        if fresh:
-            out[lens] = 1.0
-        ax = centres[lens, 0]
-        ay = centres[lens, 1]
-        mx = middle[lens, 0]
-        my = middle[lens, 1]
         for d in range(rows.shape[1]):
             other = rows[lens, d]
-            if other < 0 or not (active[lens] or active[other]) or done[lens] or done[other]:
+            if other < 0:
                 continue
-            bx = centres[other, 0]
-            by = centres[other, 1]
-            nx = middle[other, 0]
-            ny = middle[other, 1]
-            mean = np.float32(0.5) * (means[lens] + means[other])
-            about = np.float32(0.0)
-            if expected.size > 0:
-                about = np.float32(0.5) * (expected[lens] + expected[other])
+            a = (centres[lens, 0], centres[lens, 1])
+            b = (centres[other, 0], centres[other, 1])
+            middle_a = (middle[lens, 0], middle[lens, 1])
+            middle_b = (middle[other, 0], middle[other, 1])
+            mean = mid * (means[lens] + means[other])
+            about = mid * (expected[lens] + expected[other])
             floor = np.float32(2.0) * (noise2 + shading * shading * mean * mean)
             doubt = max(doubts[lens], doubts[other])
             difference = means[lens] - means[other]
+            both_whole = whole[lens] and whole[other]
             for k in which:
-                grow = one + (about + shifts[k]) / pitch
-                tx = (bx - ax) * grow
-                ty = (by - ay) * grow
-                floor_x = np.floor(tx)
-                floor_y = np.floor(ty)
-                fx = tx - floor_x
-                fy = ty - floor_y
-                dx = int(floor_x) - nx + mx
-                dy = int(floor_y) - ny + my
-                # Looked up here, since a call counts references to all arrays.
+                grow = np.float32(1.0) + (about + sizes[k]) / pitch
+                move = _move_between(a, b, middle_a, middle_b, grow)
                 slot = np.int32(-1)
-                if whole[lens] and whole[other] and abs(dx) <= reach and abs(dy) <= reach:
-                    slot = slots[dy + reach, dx + reach]
+                if both_whole and abs(move.across) <= reach and abs(move.down) <= reach:
+                    slot = slots[move.down + reach, move.across + reach]
                 # Of small overlaps, below a third of a microimage, the pixels at the rim are tested
                 # one by one.
-                if slot >= 0 and counts[slot] * step > radius * radius:
-                    count = np.float32(counts[slot])
-                    first = ends[slot, 0]
-                    number = ends[slot, 1]
-                    upper = ends[slot, 2]
-                    lower = ends[slot, 3]
+                if slot >= 0 and counts[slot] * step > radius2:
+                    overlap = _Overlap(
+                        np.float32(counts[slot]),
+                        ends[slot, 0],
+                        ends[slot, 1],
+                        ends[slot, 2],
+                        ends[slot, 3],
+                    )
                 else:
                     slot = np.int32(-1)
-                    count, first, number, upper, lower = fill_mask(
-                        dx,
-                        dy,
-                        (mx, my),
-                        (nx, ny),
-                        (ax - mx, ay - my, bx - tx - mx, by - ty - my),
-                        radius * radius,
+                    overlap = _mask_pair(
+                        a,
+                        b,
+                        middle_a,
+                        middle_b,
+                        move,
+                        radius2,
                         columns,
                         lines,
-                        layout,
+                        shape,
                         flat_size,
                         own_mask,
                     )
+                count = overlap.count
                 if count < 4:
                     continue
-                weights = bilinear_weights(fx, fy)
-                own = lens * size + first
-                there = other * size + first
+                own = lens * size + overlap.first
+                there = other * size + overlap.first
                 if slot >= 0:
-                    sa, sb, squares, srr = strip_moments(
-                        values,
-                        own,
-                        there,
-                        upper,
-                        lower,
-                        line,
-                        slot * length + first,
-                        number,
-                        weights,
-                    )
+                    mask = slot * length + overlap.first
+                    sums = _strip_moments(values, own, there, overlap, line, mask, move.weights)
                 else:
-                    sa, sb, squares, srr = strip_moments(
-                        values, own, there, upper, lower, own_mask, 0, number, weights
-                    )
+                    sums = _strip_moments(values, own, there, overlap, own_mask, 0, move.weights)
+                sa, sb, squares, srr = sums
                 out[lens, d, k] = match_cost(
                     count,
                     sa,
@@ -317,74 +312,72 @@ def overlap_area(
     return np.asarray(2 * gray.radius**2 * (np.arccos(x) - x * np.sqrt(1 - x * x)))
 
 
-def compute_pair_costs(
+def pair_terms(
     gray: GrayFlat,
-    rows: NDArray[np.int32],
     statistics: LensStatistics,
-    active: NDArray[np.bool_],
-    shifts: NDArray[np.float32],
     noise: float,
-    strips: Strips,
-    masks: OverlapMasks,
-    *,
     expected: NDArray[np.float32] | None = None,
-    which: NDArray[np.int64] | None = None,
-    done: NDArray[np.bool_] | None = None,
-    out: NDArray[np.float32] | None = None,
-) -> NDArray[np.float32]:
-    """(n, d, k) float32 `1 - rho` of each lens with its neighbours `rows` (n, d) at each of the
-    `shifts` (k,) [px].
+) -> PairTerms:
+    """What the costs of the pairs of a flat depend on, with this `noise` of a pixel [white].
 
-    A difference of means counts by half; the `noise` of a pixel [white], remaining shading and
-    small overlaps pull the cost toward 1; pairs without an `active` lens cost 1. Shifts are from
-    the `expected` ones (n,), 0 by default. Given an `out` of an earlier call, only the shifts
-    `which` (m,) of lenses that are not `done` (n,) are added.
+    Shifts are counted from the `expected` patch sizes (n,) [px], from 0 by default.
     """
-    fresh = out is None
-    if out is None:
-        out = np.empty((len(gray.centres), rows.shape[1], len(shifts)), np.float32)
-    pitch = np.float32(gray.pitch)
-    shifts = shifts.astype(np.float32)
     # A match at zero may be one of shading, which stays with its lens, if contrast is below 3 % of
-    # white: within 0.08 pitches of zero.
+    # white.
     doubts = 1 / (1 + np.square(statistics.contrast / np.float32(0.03)))
-    near_zero = np.exp(-np.square(shifts / pitch / np.float32(0.08)))
-    if expected is not None:
-        doubts = doubts * np.exp(-np.square(expected / pitch / np.float32(0.08)))
-        near_zero = np.ones_like(shifts)
-    terms = PairTerms(
+    if expected is None:
+        expected = np.zeros_like(doubts)
+    else:
+        doubts = doubts * _near_zero(expected, gray.pitch)
+    return PairTerms(
         gray.centres,
         np.float32(gray.radius),
-        pitch,
+        np.float32(gray.pitch),
         statistics.mean,
+        expected,
         doubts.astype(np.float32),
-        *map(np.float32, (noise**2, FIXED_PATTERN, half_weight_area(gray))),
+        np.float32(noise**2),
+        np.float32(FIXED_PATTERN),
+        np.float32(half_weight_area(gray)),
     )
-    layout = strips.half_width, strips.width, strips.rows, strips.step, VECTOR_LENGTH
-    slots, pixels, ends, counts = masks
-    table = StripTable(
-        strips.values,
-        strips.centre_pixels,
-        strips.complete,
-        *strips.offsets,
-        slots,
-        pixels,
-        ends,
-        counts,
-        layout,
-        gray.image.shape,
-    )
-    _pair_costs(
-        terms,
-        rows,
-        active,
-        np.zeros(len(active), bool) if done is None else done,
-        shifts,
-        np.empty(0, np.float32) if expected is None else expected,
-        near_zero,
-        np.arange(len(shifts)) if which is None else which,
-        table,
-        fresh,
-        out,
-    )
+
+
+def pairs_of(
+    rows: NDArray[np.int32], active: NDArray[np.bool_], done: NDArray[np.bool_] | None = None
+) -> NDArray[np.int32]:
+    """The neighbours `rows` (n, d) of pairs with an `active` lens (n,), and none that is `done`
+    (n,); -1 for all others.
+    """
+    wanted = (rows >= 0) & (active[:, None] | active[rows])
+    if done is not None:
+        wanted &= ~(done[:, None] | done[rows])
+    return np.where(wanted, rows, np.int32(-1))
+
+
+def shifts_from_zero(sizes: NDArray[np.float32], pitch: float) -> Shifts:
+    """All shifts of these `sizes` (k,) [px], counted from zero."""
+    return Shifts(sizes, _near_zero(sizes, pitch), np.arange(len(sizes)))
+
+
+def _near_zero(sizes: NDArray[np.float32], pitch: float) -> NDArray[np.float32]:
+    """One at patch size zero, less farther away: shading shows within 0.08 pitches."""
+    return np.asarray(np.exp(-np.square(sizes / np.float32(pitch) / np.float32(0.08))))
+
+
+def compute_pair_costs(
+    terms: PairTerms,
+    strips: Strips,
+    masks: OverlapMasks,
+    rows: NDArray[np.int32],
+    shifts: Shifts,
+    out: NDArray[np.float32] | None = None,
+) -> NDArray[np.float32]:
+    """(n, d, k) float32 `1 - rho` of each lens with its neighbours `rows` (n, d) at each shift.
+
+    A difference of means counts by half; noise, remaining shading and small overlaps pull the cost
+    toward 1. Where a row is -1 the cost is 1, or that in `out` of an earlier call.
+    """
+    if out is None:
+        out = np.ones((*rows.shape, len(shifts.sizes)), np.float32)
+    _pair_costs(terms, strips, masks, rows, shifts, out)
     return out

@@ -14,13 +14,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...flat.lens_graph import dilate_mask
-from ...flat.microimages import OverlapMasks, Strips, extract_strips
+from ...flat.microimages import OverlapMasks, Strips, allocate_strips, extract_strips
 from ...flat.neighbours import Neighbours
 from ...flat.texture import Texture, measure_statistics
 from ..presets import Preset
 from ..same_surface import TOLERANCE
 from .ambiguity import LEAST_WEIGHT, measure_ambiguity
-from .cost_volume import compute_pair_costs, half_weight_area, overlap_area, overlap_masks
+from .cost_volume import (
+    Shifts,
+    compute_pair_costs,
+    half_weight_area,
+    overlap_area,
+    overlap_masks,
+    pair_terms,
+    pairs_of,
+    shifts_from_zero,
+)
 from .sgm import aggregate_costs, average_pair_costs
 
 __all__ = ["MatchResult", "Matcher", "fit_parabola", "match_lenses", "sample_lenses"]
@@ -85,17 +94,18 @@ class Matcher:
         area = overlap_area(self.gray, self.neighbours.steps, self.shifts)
         return np.asarray((area / (area + half_weight_area(self.gray))).mean(0), np.float32)
 
-    def _strips(self, active: NDArray[np.bool_]) -> Strips:
-        """The microimages of the `active` lenses and of their neighbours."""
-        wanted = dilate_mask(active, self.neighbours.all)
-        return extract_strips(self.gray, self.statistics.mean, self._row_step, wanted)
+    @cached_property
+    def _strips(self) -> Strips:
+        return allocate_strips(self.gray, self.statistics.mean, self._row_step)
 
     @cached_property
     def _masks(self) -> OverlapMasks:
-        strips = extract_strips(
-            self.gray, self.statistics.mean, self._row_step, np.zeros(len(self.gray.centres), bool)
-        )
-        return overlap_masks(strips, self.gray, self.neighbours.steps, self.shifts)
+        return overlap_masks(self._strips, self.gray, self.neighbours.steps, self.shifts)
+
+    def _extract(self, active: NDArray[np.bool_]) -> Strips:
+        """The microimages, those of the `active` lenses and of their neighbours cut out."""
+        extract_strips(self._strips, self.gray, dilate_mask(active, self.neighbours.all))
+        return self._strips
 
     def pair_costs(
         self,
@@ -105,19 +115,12 @@ class Matcher:
         out: NDArray[np.float32] | None = None,
     ) -> NDArray[np.float32]:
         """(n, d, k) float32 costs of the pairs of all `active` lenses, as `compute_pair_costs`."""
-        return compute_pair_costs(
-            self.gray,
-            self.neighbours.forward,
-            self.statistics,
-            active,
-            self.shifts,
-            self._noise,
-            self._strips(active),
-            self._masks,
-            which=which,
-            done=done,
-            out=out,
-        )
+        shifts = shifts_from_zero(self.shifts, self.gray.pitch)
+        if which is not None:
+            shifts = shifts._replace(which=which)
+        terms = pair_terms(self.gray, self.statistics, self._noise)
+        rows = pairs_of(self.neighbours.forward, active, done)
+        return compute_pair_costs(terms, self._extract(active), self._masks, rows, shifts, out)
 
     def lens_costs(
         self, pair: NDArray[np.float32], wanted: NDArray[np.bool_] | None = None
@@ -135,22 +138,15 @@ class Matcher:
         a parabola, 0.75 at most, and its standard error (n,), infinite where it has none.
         """
         at = (expected / np.float32(self.factor)).astype(np.float32)
-        strips = self._strips(active)
+        strips = self._extract(active)
         tried = np.arange(at.min() - 1, at.max() + 2, dtype=np.float32)
         masks = overlap_masks(strips, self.gray, self.neighbours.steps[:2], tried)
-        shifts = np.array([-0.5, 0, 0.5], np.float32)
-        pairs = compute_pair_costs(
-            self.gray,
-            self.neighbours.two_directions,
-            self.statistics,
-            active,
-            shifts,
-            self._noise,
-            strips,
-            masks,
-            expected=at,
-        )
-        left, cost, right = average_pair_costs(pairs, self.neighbours).T
+        # Doubts are those at the expected patch sizes.
+        shifts = Shifts(np.array([-0.5, 0, 0.5], np.float32), np.ones(3, np.float32), np.arange(3))
+        terms = pair_terms(self.gray, self.statistics, self._noise, at)
+        rows = pairs_of(self.neighbours.two_directions, active)
+        costs = compute_pair_costs(terms, strips, masks, rows, shifts)
+        left, cost, right = average_pair_costs(costs, self.neighbours).T
         bend = np.maximum(left - (cost + cost) + right, np.float32(1e-12))
         # The cost bends by the mean square of the slopes over the variance of a lens, times the
         # weight of the overlap; a pair errs by the noise of both its microimages over the root of
@@ -231,30 +227,27 @@ def match_lenses(
     matcher: Matcher,
     active: NDArray[np.bool_],
     clear: NDArray[np.bool_],
-    sample: NDArray[np.bool_] | None,
-    known: NDArray[np.float32] | None = None,
+    known: NDArray[np.float32],
+    sample: NDArray[np.bool_] | None = None,
     sizes: NDArray[np.float32] | None = None,
 ) -> MatchResult:
     """Find the signed shift of every `active` lens (n,), by semi-global matching on the lattice.
 
-    A `sample` (n,) is matched at all shifts first, the others then only near the depths of these,
-    or `sizes` (m,) [px] found elsewhere, unless `clear` ones do not match there; without either all
-    shifts are tried. `known` (n,) [px] patch sizes only take part in the aggregation; NaN
-    elsewhere.
+    `known` (n,) [px] patch sizes only take part in the aggregation; NaN elsewhere. A `sample` (n,)
+    is matched at all shifts first, the others then only near the depths of these, or `sizes` (m,)
+    [px] found elsewhere, unless `clear` ones do not match there; without either all shifts are
+    tried.
     """
     step = matcher.step
     factor = matcher.factor
     neighbours = matcher.neighbours
     pair, skipped = _match_pairs(matcher, active, clear, sample, sizes)
     cost = matcher.lens_costs(pair)
-    wanted = None
-    if known is not None:
-        settled = np.isfinite(known)
-        wanted = ~settled
-        away = np.abs(matcher.shifts - known[settled, None] / factor)
-        cost[settled] = np.minimum(away / np.float32(matcher.tolerance * step), 1)
+    settled = np.isfinite(known)
+    away = np.abs(matcher.shifts - known[settled, None] / factor)
+    cost[settled] = np.minimum(away / np.float32(matcher.tolerance * step), 1)
     # A depth edge costs 0.8; set, as the price of slopes, on ray-traced and real flats.
-    total = aggregate_costs(cost, neighbours, matcher.slope_price, 0.8, wanted)
+    total = aggregate_costs(cost, neighbours, matcher.slope_price, 0.8, ~settled)
     best = total.argmin(1)
     own = cost[np.arange(len(best)), best]
     other, other_cost = _find_second_minimum(cost, best, max(2, round(2 / step)))

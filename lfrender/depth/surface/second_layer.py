@@ -347,7 +347,8 @@ def find_second_layer(
 
     They are correlated over all shifts between the patch sizes `occurring` (m,) [px], if given, and
     semi-global matching smooths the result: a branch runs through one lens after the other. Then
-    they are fitted as first depths are. `correlation` (n,) is that of each lens at its `first` patch size (n,) [px].
+    they are fitted as first depths are. `correlation` (n,) is that of each lens at its `first`
+    patch size (n,) [px].
     """
     second = np.full(len(first), np.nan, np.float32)
     # A lens that correlates more is explained by its first depth.

@@ -11,9 +11,12 @@ from lfrender.depth.matching.cost_volume import (
     match_cost,
     overlap_area,
     overlap_masks,
+    pair_terms,
+    pairs_of,
+    shifts_from_zero,
 )
 from lfrender.flat.gray_flat import GrayFlat
-from lfrender.flat.microimages import extract_strips
+from lfrender.flat.microimages import allocate_strips, extract_strips
 from lfrender.flat.texture import measure_statistics
 
 # Five lenses in a cross: the middle one, and those right, below, left and above of it.
@@ -48,18 +51,20 @@ def turned(gray, across, down):
     return GrayFlat(np.ascontiguousarray(image), centres, gray.radius, gray.pitch)
 
 
-def costs(gray, rows, step=1, **options):
+def costs(gray, rows, step=1, which=None, done=None, expected=None, out=None):
     """(4, k) costs of the pairs of the middle lens with the others."""
     statistics = measure_statistics(gray)
-    strips = extract_strips(gray, statistics.mean, step)
+    strips = allocate_strips(gray, statistics.mean, step)
+    extract_strips(strips, gray, np.ones(5, bool))
     lens, direction = np.nonzero(rows >= 0)
     away = gray.centres[rows[lens, direction]] - gray.centres[lens]
     masks = overlap_masks(strips, gray, away / np.float32(gray.pitch), SHIFTS)
-    active = np.ones(5, bool)
-    found = compute_pair_costs(
-        gray, rows, statistics, active, SHIFTS, 0.005, strips, masks, **options
-    )
-    return found[lens, direction]
+    rows = pairs_of(rows, np.ones(5, bool), done)
+    shifts = shifts_from_zero(SHIFTS, gray.pitch)
+    if which is not None:
+        shifts = shifts._replace(which=which)
+    terms = pair_terms(gray, statistics, 0.005, expected)
+    return compute_pair_costs(terms, strips, masks, rows, shifts, out)[lens, direction]
 
 
 @pytest.mark.parametrize("step", [1, 2])
