@@ -130,11 +130,9 @@ def _show_examples(_app: object, ctx: Any, lines: list[str]) -> None:
         ]
 
 
-def _describe_object(name: str, result: type) -> str:
+def _describe_object(name: str, result: Any) -> str:
     """The keys of what a command prints with --json, as a section of its page."""
-    from lfcal.runtime.command_line import describe_keys
-
-    rows = [f"   * - ``{key}``\n     - {told}" for key, told in describe_keys(result).items()]
+    rows = [f"   * - ``{key}``\n     - {told}" for key, told in result.meanings.items()]
     link = f":download:`JSON Schema <schemas/{name}.json>`"
     head = [
         "",

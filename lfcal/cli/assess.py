@@ -7,8 +7,7 @@ from typing import Any
 import click
 
 from ..runtime import command_line as cl
-from .inputs import read_flats
-from .results import AssessResult
+from .inputs import RESULTS, read_flats
 
 __all__ = ["assess"]
 
@@ -49,7 +48,7 @@ _UM = cl.Quantity(after="[uµ]m")
     required=False,
     suffixes=(".html", ".htm"),
 )
-@cl.report_options(AssessResult)
+@cl.report_options(RESULTS["assess"])
 def assess(report: cl.Report, given: Any) -> int:
     """Tell from the white image WHITE how the microlens array is mounted, and what to turn.
 

@@ -12,8 +12,7 @@ import cloup
 from ..runtime import command_line as cl
 from ..runtime.image_formats import MOSAICS
 from .figures import describe, summarise
-from .inputs import read_flats
-from .results import CameraResult
+from .inputs import RESULTS, read_flats
 
 if TYPE_CHECKING:
     from ..camera.calibration import Calibration
@@ -87,7 +86,7 @@ def _write(report: cl.Report, camera: Calibration, output: Path, *lines: str) ->
 @cloup.option_group("Files", *_FILES)
 @cloup.option_group("What is known", *_KNOWN)
 @cloup.option_group("Reading IMAGE", *(cl.option(*row) for row in cl.READING.values()))
-@cl.report_options(CameraResult)
+@cl.report_options(RESULTS["camera"])
 def calibrate(report: cl.Report, given: Any) -> None:
     """Find the microlenses on IMAGE and write them as a camera file.
 
@@ -124,7 +123,7 @@ def calibrate(report: cl.Report, given: Any) -> None:
     "lfcal lattice --size 2048x2048 --pitch 23.2 --centre 1019.8 1031.2 -o camera.json",
 )
 @cl.with_options(*_LATTICE, _CAMERA)
-@cl.report_options(CameraResult)
+@cl.report_options(RESULTS["camera"])
 def lattice(report: cl.Report, given: Any) -> None:
     """State the lattice of a camera that no flat shows well enough.
 

@@ -11,8 +11,7 @@ import click
 from ..runtime import command_line as cl
 from ..runtime.output_file import check_output
 from .figures import describe, summarise, tell_all
-from .inputs import SIZE_OPTIONS, read_camera, read_image, read_size
-from .results import CameraResult, CompareResult, ConvertResult
+from .inputs import RESULTS, SIZE_OPTIONS, read_camera, read_image, read_size
 
 __all__ = ["compare", "convert", "info"]
 
@@ -20,7 +19,7 @@ __all__ = ["compare", "convert", "info"]
 @cl.command("lfcal info camera.json", "lfcal info calibration.xml --image flat.png")
 @click.argument("camera", type=cl.INPUT)
 @cl.with_options(*SIZE_OPTIONS)
-@cl.report_options(CameraResult)
+@cl.report_options(RESULTS["camera"])
 def info(report: cl.Report, given: Any) -> None:
     """Show what is in the camera file CAMERA, and whether it is the camera of --image."""
     pixels = given.image and read_image(given)
@@ -38,7 +37,7 @@ def info(report: cl.Report, given: Any) -> None:
 @click.argument("a", type=cl.INPUT)
 @click.argument("b", type=cl.INPUT)
 @cl.with_options(*SIZE_OPTIONS)
-@cl.report_options(CompareResult)
+@cl.report_options(RESULTS["compare"])
 def compare(report: cl.Report, given: Any) -> None:
     """Tell how the microimage centres of cameras A and B differ.
 
@@ -105,7 +104,7 @@ def compare(report: cl.Report, given: Any) -> None:
     default=None,
 )
 @cl.with_options(*SIZE_OPTIONS)
-@cl.report_options(ConvertResult)
+@cl.report_options(RESULTS["convert"])
 def convert(report: cl.Report, given: Any) -> None:
     """Write CAMERA in the format of another program, or the reverse.
 

@@ -11,8 +11,7 @@ from ..runtime import command_line as cl
 from ..runtime.image_formats import TIFF_SUFFIXES
 from ..runtime.output_file import atomic_write
 from .figures import describe, summarise
-from .inputs import read_camera, read_flats
-from .results import FlattenResult, ShowResult
+from .inputs import RESULTS, read_camera, read_flats
 
 __all__ = ["flatten", "show"]
 
@@ -22,7 +21,7 @@ __all__ = ["flatten", "show"]
 @cl.option("--image", cl.INPUT, "A white image or scene capture of that camera.", required=True)
 @cl.option(*cl.DARK)
 @cl.output_option("SHOW.png", "Picture to write.", suffixes=(".png",))
-@cl.report_options(ShowResult)
+@cl.report_options(RESULTS["show"])
 def show(report: cl.Report, given: Any) -> None:
     """Draw the circles of CAMERA over the centre and the corners of an image."""
     output = given.output
@@ -58,7 +57,7 @@ def show(report: cl.Report, given: Any) -> None:
 @cl.option("-c --camera", cl.INPUT, "Camera file with a gain map.", required=True)
 @cl.option(*cl.DARK)
 @cl.output_option("FLAT.tif", "Flattened flat to write.", suffixes=TIFF_SUFFIXES)
-@cl.report_options(FlattenResult)
+@cl.report_options(RESULTS["flatten"])
 def flatten(report: cl.Report, given: Any) -> None:
     """Light the microimages of FLAT evenly, by the gain map of CAMERA.
 

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from ..runtime.arrays import Array
 
 __all__ = [
+    "RESULTS",
     "SIZE_OPTIONS",
     "read_camera",
     "read_flats",
@@ -22,6 +23,8 @@ __all__ = [
     "read_size",
 ]
 
+#: What the commands print with `--json`.
+RESULTS = cl.results_of(__package__)
 #: Options for camera files that do not hold the size of the flats.
 SIZE_OPTIONS = (
     cl.option("--size", cl.SIZE, "Size of the flats [px], for files without it (.xml, .csv)."),

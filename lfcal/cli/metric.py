@@ -9,8 +9,7 @@ import click
 from ..runtime import command_line as cl
 from ..runtime.types import Entries
 from .figures import describe_blur, describe_optics
-from .inputs import read_flats
-from .results import BoardResult, MetricResult
+from .inputs import RESULTS, read_flats
 
 if TYPE_CHECKING:
     from ..boards.board import Board
@@ -95,7 +94,7 @@ def _read_board(given: Any) -> Board:
 )
 @cl.several_inputs("flats", "FLAT...")
 @cl.with_options(*_METRIC)
-@cl.report_options(MetricResult)
+@cl.report_options(RESULTS["metric"])
 def metric(report: cl.Report, given: Any) -> None:
     """Measure the optics of a camera on FLATs of a board, for metres.
 
@@ -161,7 +160,7 @@ def metric(report: cl.Report, given: Any) -> None:
 )
 @cl.output_option("BOARD.pdf|.svg", "Page to write.")
 @cl.with_options(*_BOARD)
-@cl.report_options(BoardResult)
+@cl.report_options(RESULTS["board"])
 def board(report: cl.Report, given: Any) -> None:
     """Make a board to print, for 'lfcal metric'.
 

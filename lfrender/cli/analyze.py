@@ -11,7 +11,6 @@ from ..runtime.types import Entries
 from .inputs import CaptureInput, is_large
 from .option_table import DEPTH_FORMS
 from .options import capture_command, connect_cluster, option_errors, refuse_together
-from .printed.results import AnalyzeResult
 
 if TYPE_CHECKING:
     from lfcal import Calibration, Optics
@@ -26,7 +25,7 @@ _WHOLE = ("ply", "mesh")
 
 
 @capture_command(
-    AnalyzeResult,
+    "analyze",
     "lfrender analyze flat.png -o depth.npz",
     "lfrender analyze flat.png -c camera.json -o depth.npz --dense depth.tif --picture depth.png",
     "lfrender analyze flat.png -c camera.json -o depth.npz --roi 400 300 900 700",

@@ -17,7 +17,7 @@ from lfcal.runtime.image_formats import RAW_SUFFIX, TIFF_SUFFIXES, VIDEO_FORMATS
 
 from ..runtime.choices import Preset
 from ..runtime.types import Entries, Region
-from .printed import figures
+from . import figures
 
 if TYPE_CHECKING:
     from lfcal import Calibration, FlatSource, Optics

@@ -16,8 +16,7 @@ from lfcal.runtime.output_file import make_folder
 
 from ..runtime.types import Entries
 from .inputs import CaptureInput
-from .options import declare, refuse_together
-from .printed.results import PageResult
+from .options import RESULTS, declare, refuse_together
 
 if TYPE_CHECKING:
     from lfcal import Calibration
@@ -44,7 +43,7 @@ __all__ = ["live"]
 @cloup.option_group(
     "Where to show it", *(declare(name) for name in ("live_exposure", "host", "port", "no_browser"))
 )
-@cl.report_options(PageResult)
+@cl.report_options(RESULTS["page"])
 def live(report: cl.Report, given: Any) -> None:
     """Show a camera in the browser: raw, traditional, sharp, depth, in focus where you click.
 

@@ -11,9 +11,8 @@ from lfcal.runtime import command_line as cl
 
 from .analyze import analyze
 from .live import live
-from .options import declare
+from .options import RESULTS, declare
 from .pages import demo, report, view
-from .printed.results import WarmResult
 from .render import render
 from .sequence import batch
 from .views import lenslet, refocus, views
@@ -24,7 +23,7 @@ __all__ = ["main"]
 
 @cl.command("lfrender warm", "lfrender warm --processes 4")
 @declare("processes")
-@cl.report_options(WarmResult)
+@cl.report_options(RESULTS["warm"])
 def warm(report: cl.Report, given: Any) -> None:
     """Compile all kernels ahead, once for each installation.
 

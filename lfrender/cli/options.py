@@ -22,6 +22,7 @@ from .inputs import CaptureInput
 from .option_table import TABLE
 
 __all__ = [
+    "RESULTS",
     "capture_command",
     "connect_cluster",
     "declare",
@@ -29,6 +30,8 @@ __all__ = [
     "refuse_together",
 ]
 
+#: What the commands print with `--json`.
+RESULTS = cl.results_of(__package__)
 #: Options of all commands on captures, by their titles in the help.
 _CAPTURE = {
     "Files": ("camera", "white", "no_check", "depth_file", "dark"),
@@ -50,7 +53,7 @@ def declare(name: str, inputs: str = "FLAT", hidden: bool = False) -> Callable[[
 
 
 def capture_command(
-    result: type[cl.Result],
+    result: str,
     *examples: str,
     output: tuple[Any, ...] = (),
     own: Mapping[str, str] | None = None,
@@ -66,7 +69,7 @@ def capture_command(
     does not take, with the reason; of the options in each text of `exclusive` at most one may be
     given. A command that takes `several` inputs is called with all of
     them, and its camera is calibrated from the first of the `inputs`. The help shows `examples`;
-    `result` is what `--json` prints.
+    `result` is the name of what `--json` prints.
     """
     reasons = refused or {}
 
@@ -86,7 +89,7 @@ def capture_command(
             flat = given.inputs[0] if several else values.pop("flat")
             return function(CaptureInput(report, flat, **fields), given)
 
-        decorated: Any = cl.report_options(result)(run)
+        decorated: Any = cl.report_options(RESULTS[result])(run)
         decorated = cl.with_options(*(declare(name, hidden=True) for name in reasons))(decorated)
         shown: dict[str, list[Callable[[Any], Any]]] = {
             "Files": [cl.output_option(*output)] if output else []

@@ -14,10 +14,9 @@ from lfcal.runtime import command_line as cl
 from lfcal.runtime.command_line.interrupts import end_by_interrupt
 from lfcal.runtime.output_file import check_folder, check_output
 
+from . import figures
 from .inputs import CaptureInput
-from .options import capture_command
-from .printed import figures
-from .printed.results import DemoResult, PageResult, ReportResult
+from .options import RESULTS, capture_command
 
 if TYPE_CHECKING:
     from lfcal import Calibration
@@ -26,7 +25,7 @@ __all__ = ["demo", "report", "view"]
 
 
 @capture_command(
-    PageResult,
+    "page",
     "lfrender view flat.png",
     "lfrender view flat.png -c camera.json --export page.html",
     "lfrender view frames -c camera.json",
@@ -124,7 +123,7 @@ def _loader(capture: CaptureInput, flats: list[Path]) -> Callable[[int], Any]:
 
 
 @capture_command(
-    ReportResult,
+    "report",
     "lfrender report flat.png -o report.html",
     "lfrender report flat.png -c camera.json -o report.html --preset fast",
     output=("REPORT.html", "Page to write.", ".html", "", (".html", ".htm")),
@@ -160,7 +159,7 @@ def report(capture: CaptureInput, given: Any) -> None:
     default=Path("lfrender-demo"),
     show_default=True,
 )
-@cl.report_options(DemoResult)
+@cl.report_options(RESULTS["demo"])
 def demo(report: cl.Report, given: Any) -> None:
     """Try everything on a simulated capture, and show it on a page.
 

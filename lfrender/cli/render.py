@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..runtime.types import Entries
+from . import figures
 from .inputs import CaptureInput, is_large
 from .options import capture_command, connect_cluster, option_errors
-from .printed import figures
-from .printed.results import RenderResult
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -24,7 +23,7 @@ __all__ = ["render"]
 
 
 @capture_command(
-    RenderResult,
+    "render",
     "lfrender render flat.png -o picture.tif",
     "lfrender render flat.png -c camera.json --depth depth.npz --scale 12 -o picture.png",
     "lfrender render flat.png --white white.png --patch-size -8.5 -o binocular.png",

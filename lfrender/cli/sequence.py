@@ -13,10 +13,9 @@ from lfcal.runtime import command_line as cl
 from lfcal.runtime.output_file import check_folder
 
 from ..runtime.types import Entries
+from .figures import percent
 from .inputs import CaptureInput
 from .options import capture_command, connect_cluster, option_errors
-from .printed.figures import percent
-from .printed.results import BatchResult
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -32,7 +31,7 @@ __all__ = ["batch"]
 
 
 @capture_command(
-    BatchResult,
+    "batch",
     "lfrender batch frames -o pictures",
     "lfrender batch film.mkv -c camera.json -o pictures --format png",
     "lfrender batch film.mkv -c camera.json -o sharp.mp4 --depth-maps depth.mp4",

@@ -13,10 +13,9 @@ from lfcal.runtime import command_line as cl
 from lfcal.runtime.output_file import check_folder, check_output
 
 from ..runtime.types import Entries, Place
+from . import figures
 from .inputs import MOVING, CaptureInput
-from .options import capture_command, declare, option_errors
-from .printed import figures
-from .printed.results import LensletResult, RefocusResult, ViewsResult
+from .options import RESULTS, capture_command, declare, option_errors
 
 if TYPE_CHECKING:
     from lfcal import Calibration
@@ -34,7 +33,7 @@ _GRID = (5, 5)
 
 
 @capture_command(
-    RefocusResult,
+    "refocus",
     "lfrender refocus flat.png --at 700 420 -o picture.tif",
     "lfrender refocus flat.png -c camera.json -o stack.tif --stack 12",
     "lfrender refocus flat.png -o focus.mp4",
@@ -123,7 +122,7 @@ def _fit(
 
 
 @capture_command(
-    ViewsResult,
+    "views",
     "lfrender views flat.png -o views --grid 5x5",
     "lfrender views flat.png -o pair.png --stereo",
     "lfrender views flat.png -o round.gif",
@@ -303,7 +302,7 @@ def _write_posed(
 )
 @declare("grid_format")
 @declare("quality")
-@cl.report_options(LensletResult)
+@cl.report_options(RESULTS["lenslet"])
 def lenslet(report: cl.Report, given: Any) -> None:
     """Turn a grid of views into the flat of a regular lens array, or the reverse.
 

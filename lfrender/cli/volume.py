@@ -10,7 +10,6 @@ from lfcal.runtime.output_file import check_folder, make_folder
 
 from .inputs import CaptureInput
 from .options import capture_command, option_errors
-from .printed.results import VolumeResult
 
 if TYPE_CHECKING:
     from lfcal import Calibration
@@ -21,7 +20,7 @@ __all__ = ["volume"]
 
 
 @capture_command(
-    VolumeResult,
+    "volume",
     "lfrender volume flat.tif --white white.tif -o volume.ome.tif",
     "lfrender volume flat.tif -c camera.json -o volume.ome.zarr --na 0.5 --magnification 20 "
     "--microlens-focal-length 2433 --pixel-size 4.55 --depth-range -120 120",

@@ -14,7 +14,7 @@ from .program import (
     with_options,
 )
 from .report import Report, echo, name_file_in_errors
-from .result import Result, describe_keys, json_schema
+from .result import Result, json_schema, results_of
 
 __all__ = [
     "DARK",
@@ -30,13 +30,13 @@ __all__ = [
     "Report",
     "Result",
     "command",
-    "describe_keys",
     "echo",
     "json_schema",
     "name_file_in_errors",
     "option",
     "output_option",
     "report_options",
+    "results_of",
     "several_inputs",
     "with_options",
 ]

@@ -1,16 +1,21 @@
-"""The JSON objects of commands: their keys, and their JSON Schema for the documentation."""
+"""The JSON objects of commands: their keys, and their JSON Schema for the documentation.
+
+The keys of each object stand in the file `results.toml` of the command line of a package.
+"""
 
 from __future__ import annotations
 
-import inspect
 import re
-from dataclasses import dataclass, field, fields
+import tomllib
+from dataclasses import dataclass, field, fields, make_dataclass
+from importlib.resources import files
+from typing import Any, ClassVar
 
 import msgspec
 
 from ..types import Entries
 
-__all__ = ["VERSION", "Failure", "Result", "describe_keys", "json_schema"]
+__all__ = ["VERSION", "Failure", "Result", "json_schema", "results_of"]
 
 #: Of the objects. It rises if a key goes or gets another meaning; new keys may come without that.
 VERSION = 1
@@ -18,15 +23,14 @@ VERSION = 1
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """What a command prints with `--json` on stdout; keys without a value are null.
+    """What a command prints with `--json` on stdout; keys without a value are null."""
 
-    version
-        Of these objects, 1. It rises if a key goes or gets another meaning.
-    warnings
-        Messages to read before the result is used.
-    seconds
-        Seconds of each stage.
-    """
+    #: What each key means.
+    meanings: ClassVar[dict[str, str]] = {
+        "version": "Of these objects, 1. It rises if a key goes or gets another meaning.",
+        "warnings": "Messages to read before the result is used.",
+        "seconds": "Seconds of each stage.",
+    }
 
     version: int = VERSION
     warnings: list[str]
@@ -59,21 +63,39 @@ class Failure:
         return cls(kind=re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower(), message=message)
 
 
-def describe_keys(result: type) -> dict[str, str]:
-    """The meaning of each key of an object, as the docstrings of its class and bases tell."""
-    told: dict[str, str] = {}
-    for kind in reversed(result.__mro__[:-1]):
-        text = f"{inspect.getdoc(kind)}\n"
-        for name, meaning in re.findall(r"^(\w+)\n((?: {4}.+\n)+)", text, re.MULTILINE):
-            told[name] = " ".join(meaning.split())
-    return {key.name: told[key.name] for key in fields(result)}
+def results_of(package: str) -> dict[str, type[Result]]:
+    """The objects of the commands of a package, by the names of their tables in its `results.toml`.
+
+    A table has the text `about`, the name of a table before it whose keys it has too (`like`), and
+    for each key its type and its meaning. Keys that may be null need not be given.
+    """
+    text = (files(package) / "results.toml").read_text(encoding="utf-8")
+    found: dict[str, type[Result]] = {}
+    for name, keys in tomllib.loads(text).items():
+        about = keys.pop("about")
+        base = found.get(keys.pop("like", ""), Result)
+        given: list[Any] = []
+        for key, (kind, _) in keys.items():
+            default = (field(default=None),) if kind.endswith("| None") else ()
+            given.append((key, kind, *default))
+        meanings = base.meanings | {key: meaning for key, (_, meaning) in keys.items()}
+        inside = {"__doc__": about, "__module__": __name__, "meanings": meanings}
+        found[name] = make_dataclass(
+            f"{name.title()}Result",
+            given,
+            bases=(base,),
+            namespace=inside,
+            frozen=True,
+            kw_only=True,
+        )
+    return found
 
 
-def json_schema(result: type) -> Entries:
+def json_schema(result: type[Result]) -> Entries:
     """The JSON Schema of an object, with the meaning of each key."""
     schema = msgspec.json.schema(result)
     about = schema["$defs"][result.__name__]
-    about["description"] = str(inspect.getdoc(result)).splitlines()[0]
-    for name, meaning in describe_keys(result).items():
-        about["properties"][name]["description"] = meaning
+    about["description"] = result.__doc__
+    for key in fields(result):
+        about["properties"][key.name]["description"] = result.meanings[key.name]
     return schema

@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from ...runtime.types import Entries
+from ..runtime.types import Entries
 
 if TYPE_CHECKING:
     from lfcal import Calibration, Optics
     from lfcal.runtime.arrays import Array
 
-    from ...data.depth_map import DepthMap
-    from ...data.rendering import Rendering
+    from ..data.depth_map import DepthMap
+    from ..data.rendering import Rendering
 
 __all__ = [
     "capture_figures",
@@ -65,8 +65,8 @@ def capture_figures(
         return figures
     import numpy as np
 
-    from ...data.depth_map import MODES, REASONS, finite
-    from ...rendering.traditional import find_depth_problem
+    from ..data.depth_map import MODES, REASONS, finite
+    from ..rendering.traditional import find_depth_problem
 
     problems = (few_pixels_problem(calibration.lattice.pitch), find_depth_problem(depth))
     figures["warnings"] += filter(None, problems)

@@ -1,1 +1,0 @@
-"""What commands print: figures, sentences, and the objects of `--json`."""
