@@ -11,7 +11,7 @@ import click
 from ..runtime import command_line as cl
 from ..runtime.output_file import check_output
 from .figures import describe, summarise, tell_all
-from .inputs import RESULTS, SIZE_OPTIONS, read_camera, read_image, read_size
+from .inputs import RESULTS, SIZE_OPTIONS, read_camera, read_image
 
 __all__ = ["compare", "convert", "info"]
 
@@ -22,8 +22,7 @@ __all__ = ["compare", "convert", "info"]
 @cl.report_options(RESULTS["camera"])
 def info(report: cl.Report, given: Any) -> None:
     """Show what is in the camera file CAMERA, and whether it is the camera of --image."""
-    pixels = given.image and read_image(given)
-    size = given.size if pixels is None else pixels.shape[1::-1]
+    pixels, size = read_image(given)
     camera = read_camera(given.camera, size)
     if pixels is not None:
         from .. import check_camera
@@ -48,14 +47,14 @@ def compare(report: cl.Report, given: Any) -> None:
     from ..display.compare import REGIONS
 
     paths = (given.a, given.b)
-    size = read_size(given)
+    _, size = read_image(given)
     for path in paths:
         # A published file has none.
         with suppress(CameraFileError):
             size = size or load(path).image_size
     cameras = [read_camera(path, size) for path in paths]
     found = run(*cameras)
-    field = dict(zip(REGIONS, found.field.reshape(-1, 2).round(6), strict=True))
+    field = dict(zip(REGIONS, found.field.reshape(-1, 2), strict=True))
     x, y = found.mean_shift
     parts = "; ".join(f"{name} x {dx:+.4f}, y {dy:+.4f}" for name, (dx, dy) in field.items())
     warnings = [
@@ -67,11 +66,11 @@ def compare(report: cl.Report, given: Any) -> None:
         {
             "a": str(given.a),
             "b": str(given.b),
-            "rms": round(found.rms, 6),
-            "max": round(found.max, 6),
-            "mean_shift": found.mean_shift.round(6),
-            "scale": round(found.scale, 9),
-            "rotation_degrees": round(found.rotation_degrees, 7),
+            "rms": found.rms,
+            "max": found.max,
+            "mean_shift": found.mean_shift,
+            "scale": found.scale,
+            "rotation_degrees": found.rotation_degrees,
             "field": field,
             "warnings": warnings,
         },
@@ -117,8 +116,7 @@ def convert(report: cl.Report, given: Any) -> None:
     output = given.output
     mode = given.mode
     check_output(output, FORMATS)
-    pixels = given.image and read_image(given)
-    size = given.size if pixels is None else pixels.shape[1::-1]
+    pixels, size = read_image(given)
     camera = read_camera(given.camera, size)
     up = read_camera(given.camera, size, True)
     told = ""

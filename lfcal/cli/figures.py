@@ -133,13 +133,9 @@ def tell_all(camera: Calibration) -> list[str]:
         told = f"Lens types repeat as {cell}"
         if camera.source != "published":
             told += f", confidence {100 * types.confidence:.0f} %"
-        foci = [
-            f"type {number} at s = {focus:.3f} D"
-            for number, focus in enumerate(types.to_dict()["focus"])
-            if focus is not None
-        ]
+        foci = [f"{focus:.3f} D" for focus in types.to_dict()["focus"] if focus is not None]
         if foci:
-            told += f"; in focus are {', '.join(foci)}"
+            told += f"; they are in focus at s = {', '.join(foci)}"
         sentences.append(f"{told}.")
     if camera.mosaic is not None:
         sentences.append(f"Colour filters of the top left 2 x 2 pixels: {camera.mosaic}.")

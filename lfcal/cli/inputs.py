@@ -20,7 +20,6 @@ __all__ = [
     "read_camera",
     "read_flats",
     "read_image",
-    "read_size",
 ]
 
 #: What the commands print with `--json`.
@@ -44,19 +43,16 @@ def read_flats(given: Any, *paths: Path, **options: Any) -> list[Array]:
         return [subtract_dark(flat, frame) for flat in flats]
 
 
-def read_image(given: Any) -> Array:
+def read_image(given: Any) -> tuple[Array | None, Size | None]:
+    """The image of `SIZE_OPTIONS`, and the size of the flats; None if they are not given."""
+    if given.image is None:
+        return None, given.size
     if given.size is not None:
         raise click.UsageError("--size and --image exclude each other")
     from .. import read_flat
 
-    return read_flat(given.image)
-
-
-def read_size(given: Any) -> Size | None:
-    size: Size | None = given.size
-    if given.image is not None:
-        size = read_image(given).shape[1::-1]
-    return size
+    pixels = read_flat(given.image)
+    return pixels, pixels.shape[1::-1]
 
 
 def read_camera(path: Path, size: Size | None, y_up: bool = False) -> Calibration:

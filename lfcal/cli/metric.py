@@ -180,18 +180,19 @@ def board(report: cl.Report, given: Any) -> None:
 def _describe(found: MetricCalibration) -> Entries:
     import numpy as np
 
-    bound = np.array([pose.standard_errors for pose in found.poses]) / np.sqrt(found.widening)
+    errors = np.array([pose.standard_errors for pose in found.poses])
+    middle = np.median(errors / np.sqrt(found.widening), axis=0)
     return {
         "optics": describe_optics(found.optics),
         "flats_used": len(found.poses),
         "corners": len(found.residual),
         "outliers": int((~found.used).sum()),
-        "rms_px": round(found.rms, 4),
-        "corner_noise_px": round(found.noise, 4),
-        "variance_widened_by": round(found.widening, 2),
-        "cramer_rao_position_mm": np.round(np.median(bound[:, 3:], axis=0), 4),
-        "cramer_rao_turn_degrees": np.round(np.rad2deg(np.median(bound[:, :3], axis=0)), 4),
-        "distances_mm": [round(float(pose.translation[2]), 2) for pose in found.poses],
-        "distance_errors_mm": [round(float(pose.standard_errors[5]), 3) for pose in found.poses],
+        "rms_px": found.rms,
+        "corner_noise_px": found.noise,
+        "variance_widened_by": found.widening,
+        "cramer_rao_position_mm": middle[3:],
+        "cramer_rao_turn_degrees": np.rad2deg(middle[:3]),
+        "distances_mm": [pose.translation[2] for pose in found.poses],
+        "distance_errors_mm": [pose.standard_errors[5] for pose in found.poses],
         "warnings": [*found.warnings, *found.degeneracies],
     }

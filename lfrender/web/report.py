@@ -107,7 +107,7 @@ def write_report(
     names |= {name: name for name in compare or {}}
     height, width = pictures.sharp.image.shape[:2]
     known = finite(depth.magnification)
-    limits = _magnification_limits(depth)
+    low, high = magnification_range(known) if known.size else _LIMITS_OF_NONE
     reasons = {
         REASONS[code]: float(np.mean(depth.reason == code))
         for code in np.unique(depth.reason)
@@ -131,8 +131,8 @@ def write_report(
         sizes=pictures.patch_size,
         charts=charts,
         ends=name_ends(depth_limits(depth)),
-        histogram=_histogram(depth),
-        outliers=int(np.sum((known < limits[0]) | (known > limits[1]))),
+        histogram=_histogram(depth, low, high),
+        outliers=int(np.sum((known < low) | (known > high))),
         panels=panels,
         crop=crop,
         further=further,
@@ -163,23 +163,15 @@ def _most_detail(pictures: ReportPictures) -> NDArray[np.float64]:
     return place
 
 
-def _magnification_limits(depth: DepthMap) -> tuple[float, float]:
-    """Ends of a scale of M that holds 98 % of the lenses with a finite one."""
-    known = finite(depth.magnification)
-    if not known.size:
-        return _LIMITS_OF_NONE
-    return magnification_range(known)
-
-
-def _histogram(depth: DepthMap) -> Any:
+def _histogram(depth: DepthMap, low: float, high: float) -> Any:
     """SVG: number of lenses over magnification, telescopic ones above the axis, binocular below.
 
     Heights are square roots of the numbers, so that single branches can be seen beside a wall with
-    thousands of lenses of one M. Pale bars at the ends are lenses beyond the scale, mostly errors.
+    thousands of lenses of one M. 98 % of the lenses lie between `low` and `high`. Pale bars at the
+    ends are lenses beyond the scale, mostly errors.
     """
     from matplotlib.figure import Figure
 
-    low, high = _magnification_limits(depth)
     step = (high / low) ** (1 / _BINS)
     edges = np.geomspace(low / step, high * step, _BINS + 3)
     figure = Figure(_CHART, facecolor="none", layout="constrained")

@@ -135,14 +135,9 @@ def _tiles(size: tuple[int, int], largest: int) -> tuple[int, dict[str, tuple[in
 
 def _cut(pixels: NDArray, left: int, top: int, side: int) -> NDArray:
     """A tile that reaches one pixel beyond the flat, whose last pixels are repeated there."""
-    ends = [
-        (k, min(k + side, n + 1), n) for k, n in ((top, pixels.shape[0]), (left, pixels.shape[1]))
-    ]
-    part = pixels[tuple(slice(max(low, 0), high) for low, high, _ in ends)]
-    beyond = [(max(-low, 0), max(high - n, 0)) for low, high, n in ends]
-    if np.any(beyond):
-        return np.pad(part, [*beyond, (0, 0)][: pixels.ndim], "edge")
-    return part
+    starts = zip((top, left), pixels.shape, strict=False)
+    rows, columns = (np.arange(low, min(low + side, n + 1)).clip(0, n - 1) for low, n in starts)
+    return pixels[rows[:, None], columns]
 
 
 def _occlusion_codes(

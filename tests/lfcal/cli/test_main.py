@@ -109,7 +109,7 @@ def test_info_prints_lens_types_optics_with_their_errors_and_defects(house, tmp_
         "microlenses to sensor 0.700 +- 0.010 mm; pixels of 5 um."
     ) in told
     assert (
-        "Lens types repeat as 0 1, 1 0, confidence 90 %; in focus are type 0 at s = -0.400 D."
+        "Lens types repeat as 0 1, 1 0, confidence 90 %; they are in focus at s = -0.400 D."
     ) in told
     assert f"{truth.lattice.pitch:.2f} px apart" in told
     for placeholder in ("None", "nan", "unknown", "by focus"):
