@@ -1,7 +1,7 @@
 """Lattice of scene captures: one fit through all lenses of a flat, most of which the scene may
 shift.
 
-Each lens is compared with the mean microimage (`template`). What the scene shows shifts lenses, and
+Each lens is compared with the mean microimage (`microimage.mean_cell`). What the scene shows shifts lenses, and
 video compression drags whole parts of a flat along with what moves in them, so the lattice follows
 the lenses that agree best (`irls`). Neighbours are shifted alike: the standard error comes from
 differences between tiles of the flat, not between lenses.
@@ -21,10 +21,10 @@ from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import sample_mask
 from ..lattice.robust_fit import LatticeFit, field_rms
 from ..lattice.standard_errors import equal_weight_errors
+from ..microimage.mean_cell import average_cells, build_lens_equations
 from ..runtime.arrays import ENOUGH_LENSES, Booleans, Floats, Integers, Singles, evenly
 from ..runtime.errors import CalibrationError
 from .irls import LensShifts, error_inflation, find_regular_ratio, solve_irls
-from .template import build_lens_equations
 
 __all__ = [
     "fit_lattice_to_scenes",
@@ -45,6 +45,9 @@ _PASSES = 10
 _SETTLED = 0.2
 # Parts of the flat whose errors are independent of each other.
 _TILES = 36
+# [1/px] Bins of the mean microimage; and most of them each way: more are not worth their memory.
+_BINS = 3
+_MOST_BINS = 210
 _NO_LATTICE = "the microimages do not keep to one lattice; give a sharper flat or a white image"
 _TOO_LITTLE = "the microimages show too little; give a brighter flat or a white image"
 
@@ -291,9 +294,10 @@ def measure_shifts(picture: Singles, lattice: Lattice, indices: Integers, stride
     whole = ((centres >= cell.circumradius) & (centres <= beyond)).all(1)
     if whole.sum() < _FEWEST_LENSES:
         raise CalibrationError(_NO_LATTICE)
-    normal, right, noise = build_lens_equations(
-        picture, lattice, np.ascontiguousarray(centres[whole]), cell, stride
-    )
+    inside = np.ascontiguousarray(centres[whole])
+    bins = int(min(_BINS * lattice.pitch, _MOST_BINS))
+    mean = average_cells(picture, lattice, inside, cell, bins, stride)
+    normal, right, noise = build_lens_equations(picture, lattice, inside, cell, mean, stride)
     # Dark and blank lenses fit any lattice.
     information = np.trace(normal, axis1=1, axis2=2)
     clear = information > 0.001 * np.quantile(information, 0.9)

@@ -34,6 +34,7 @@ from ..lattice.robust_fit import (
 from ..lattice.standard_errors import LatticeErrors, Residuals
 from ..runtime.arrays import Floats, Singles
 from ..runtime.errors import CalibrationError
+from .any_shape import AnyMicroimages
 from .kernel import Sums
 from .microimages import (
     Microimages,
@@ -255,6 +256,9 @@ _MOST_COST = 0.995
 # have 0.17 to 0.23, rounded corners 0.58, discs 2.5. And how often squares are fitted.
 _STRAIGHT = 0.5
 _ROUNDS = 3
+# Scatter of single microimages about the lattice of their mean, over that of a radial profile, below
+# which the mean is the better model: straight edges have 0.2 to 0.5, discs 0.9 and more.
+_NEARER = 0.6
 # Pixels whose costs are compared: with all, the comparison took half of the time of a calibration.
 _COMPARED = 1e5
 
@@ -333,7 +337,7 @@ def fit_white(tones: StackedCrops, lattice: Lattice) -> LatticeFit:
         if fit.lenses.pixels < _PIXELS:
             lenses = cut_out(tones, fit.lattice, _PIXELS, 0, fit.lenses)
             fit = _select_orders(converge(fit.lattice, lenses, fit.orders))
-        fit = _fit_squares(fit, plain)
+        fit = _fit_any_shape(_fit_squares(fit, plain))
         found = _summarise(fit)
         lenses = fit.lenses
     return replace(found, doubt=found.doubt or _find_doubt(lenses.at(found.lattice)))
@@ -395,6 +399,26 @@ def _fit_squares(fit: Fit, plain: Fit) -> Fit:
         return fit
     assert isinstance(found.lenses, SquareMicroimages)
     if _cost_ratio(found.lenses, fit.lenses) < _STRAIGHT:
+        return found
+    return fit
+
+
+def _fit_any_shape(fit: Fit) -> Fit:
+    """The fit to the mean microimage if single microimages lie much nearer to its lattice.
+
+    A radial profile cannot follow straight edges: its centres can be farther off than those that
+    the fit began at.
+    """
+    if isinstance(fit.lenses, SquareMicroimages) or fit.step.residual_rms < _NEGLIGIBLE:
+        return fit
+    try:
+        found = converge(fit.lattice, AnyMicroimages.of(fit.lenses, fit.lattice), fit.orders)
+    except (CalibrationError, ValueError):
+        return fit
+    step = found.step
+    nearer = step.residual_rms < _NEARER * fit.step.residual_rms
+    # Where all lenses lie alike to the pixels, the mean follows the centres that it is made about.
+    if nearer and step.shift_rms < step.uncertainty:
         return found
     return fit
 

@@ -1,27 +1,31 @@
-"""Shifts of single microimages in scenes against the mean microimage of the whole flat.
+"""Mean microimage of a flat, and shifts of single microimages against it.
 
 The mean microimage is a picture of one cell of the lattice: rims and gaps follow the outline of the
-cell. It is made symmetric under a half turn about its centre, which cancels what a wrong centre
+cell, whatever its shape. It is made symmetric under a half turn about its centre, which cancels what a wrong centre
 would add to it.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 
-from ..detection.folding import VECTOR_LENGTH, compute_cell_bins
 from ..lattice.cell import Cell, row_interval
 from ..lattice.lattice import Lattice
 from ..lattice.robust_fit import TUKEY_CUTOFF
-from ..runtime.arrays import Floats, Singles
+from ..runtime.arrays import Array, Floats, Singles
 from ..runtime.kernels import FAST, kernel
+from .cell_bins import VECTOR_LENGTH, compute_cell_bins
 
-__all__ = ["build_lens_equations"]
+__all__ = ["average_cells", "build_lens_equations"]
 
 # Parts of the lenses that are summed in parallel: a fixed number, so that sums do not depend on
 # that of the threads.
 _CHUNKS = 16
+# Most contrast of a lens over that of the mean microimage.
+_MOST_CONTRAST = 2.0
 
 
 @njit(error_model="numpy", forceinline=True)
@@ -190,60 +194,37 @@ def _accumulate(
             noise[lens] = squares / max(weights, 1e-9)
 
 
-def build_lens_equations(
-    picture: Singles, lattice: Lattice, centres: Floats, cell: Cell, stride: int = 1
-) -> tuple[Floats, Floats, Floats]:
-    """Least squares of the shifts of lenses at `centres` (n, 2) [px], over the pixels of their
-    whole cells.
+class _Grid(NamedTuple):
+    """What both kernels need to know of the cells of a lattice."""
 
-    Normal matrices (n, 2, 2), right sides (n, 2), and variance (n,) of a pixel about the mean
-    microimage, over that of all lenses. Each lens has its own contrast and offset: blank or dark
-    ones carry no information. Of large microimages every `stride`-th pixel each way is enough, as
-    neighbouring ones are alike.
+    sides: Floats  # (7, 2) `Cell.row_bounds`
+    room: int  # for the pixels of a cell, and for whole vectors beyond them
+    inverse: Floats  # (2, 2) [1/px] of the basis
+    stride: int
+    bins: int  # of the mean microimage, each way
+
+    @classmethod
+    def of(cls, lattice: Lattice, cell: Cell, stride: int, bins: int) -> _Grid:
+        room = (int(2 * cell.circumradius) // stride + 3) ** 2 + 2 * VECTOR_LENGTH
+        inverse: Array = np.linalg.inv(lattice.basis)
+        return cls(cell.row_bounds(), room, inverse, stride, bins)
+
+
+def average_cells(
+    picture: Singles, lattice: Lattice, centres: Floats, cell: Cell, bins: int, stride: int = 1
+) -> Singles:
+    """Mean microimage (bins * bins, 4) over some of the lenses at `centres` (n, 2) [px].
+
+    Level, inverse variance of a pixel, slopes of the level in x and y [1/px]. The centre of the
+    lens is bin 0; columns run along `a1`, rows along `a2`, periodic. It is made symmetric by adding
+    the same turned by half a turn.
     """
-    # More bins are not worth their memory.
-    bins = int(min(3 * lattice.pitch, 210))
-    # Space for the pixels of a cell, and for whole vectors beyond them.
-    room = (int(2 * cell.circumradius) // stride + 3) ** 2 + 2 * VECTOR_LENGTH
-    sides = cell.row_bounds()
-    inverse = np.linalg.inv(lattice.basis)
+    grid = _Grid.of(lattice, cell, stride, bins)
     few = np.ascontiguousarray(centres[:: max(1, len(centres) // 1500)])
     sums = np.zeros((_CHUNKS, bins * bins, 4), np.float32)
-    _fold(picture, few, sides, room, inverse, stride, bins, _CHUNKS, sums)
-    maps = _average(
-        sums.sum(0, dtype=np.float64), np.asarray(inverse, np.float64), 0.5 * bins / lattice.pitch
-    )
-    normal = np.zeros((len(centres), 2, 2))
-    right = np.zeros((len(centres), 2))
-    noise = np.zeros(len(centres))
-    _accumulate(
-        picture,
-        centres,
-        sides,
-        room,
-        inverse,
-        stride,
-        bins,
-        _CHUNKS,
-        maps,
-        np.float32(1 / TUKEY_CUTOFF**2),
-        2.0,
-        normal,
-        right,
-        noise,
-    )
-    return normal, right, noise
-
-
-def _average(sums: Floats, inverse: Floats, blur: float) -> Singles:
-    """(bins * bins, 4) mean microimage: level, inverse variance of a pixel, slopes of the level in
-    x and y [1/px].
-
-    The centre of the lens is bin 0; columns run along `a1`, rows along `a2`, periodic. `sums` are
-    those of `_fold`, `blur` [bins]. Made symmetric by adding the same turned by half a turn.
-    """
-    bins = round(np.sqrt(len(sums)))
-    planes = sums.T[:3].reshape(3, bins, bins)
+    _fold(picture, few, *grid, _CHUNKS, sums)
+    planes = sums.sum(0, dtype=np.float64).T[:3].reshape(3, bins, bins)
+    blur = 0.5 * bins / lattice.pitch
     total, square, count = (
         _blur(plane + np.roll(plane[::-1, ::-1], (1, 1), axis=(0, 1)), blur) for plane in planes
     )
@@ -251,8 +232,30 @@ def _average(sums: Floats, inverse: Floats, blur: float) -> Singles:
     level = total / count
     variance = np.maximum(square / count - level**2, 1e-4 * float(np.var(level)) + 1e-12)
     along = [(np.roll(level, -1, axis) - np.roll(level, 1, axis)) * (bins / 2) for axis in (1, 0)]
-    slope = np.stack(along, axis=-1) @ inverse.T
+    slope = np.stack(along, axis=-1) @ grid.inverse.T
     return np.dstack([level, 1 / variance, slope]).astype(np.float32).reshape(bins * bins, -1)
+
+
+def build_lens_equations(
+    picture: Singles, lattice: Lattice, centres: Floats, cell: Cell, mean: Singles, stride: int = 1
+) -> tuple[Floats, Floats, Floats]:
+    """Least squares of the shifts of lenses at `centres` (n, 2) [px], over the pixels of their
+    whole cells.
+
+    Normal matrices (n, 2, 2), right sides (n, 2), and variance (n,) of a pixel about the `mean`
+    microimage, over that of all lenses. Each lens has its own contrast and offset: blank or dark
+    ones carry no information. Of large microimages every `stride`-th pixel each way is enough, as
+    neighbouring ones are alike.
+    """
+    grid = _Grid.of(lattice, cell, stride, round(np.sqrt(len(mean))))
+    normal = np.zeros((len(centres), 2, 2))
+    right = np.zeros((len(centres), 2))
+    noise = np.zeros(len(centres))
+    cutoff = np.float32(1 / TUKEY_CUTOFF**2)
+    _accumulate(
+        picture, centres, *grid, _CHUNKS, mean, cutoff, _MOST_CONTRAST, normal, right, noise
+    )
+    return normal, right, noise
 
 
 def _blur(values: Floats, width: float) -> Floats:
