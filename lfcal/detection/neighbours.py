@@ -2,9 +2,10 @@
 meshes do.
 
 A lens is compared with its neighbours along the steps between them. Disparity is the same share of
-the step in all directions: a shift is judged in one direction after it was chosen in the others, so
-that nothing matches by chance. In an unfocused camera neighbours show the same without a shift.
-Behind a mesh one picture goes on from cell to cell: their facing sides show the same.
+the step in all directions: either one shift is chosen for all lenses, or that of a lens in one
+direction is chosen in the others, so that nothing matches by chance. In an unfocused camera
+neighbours show the same without a shift. Behind a mesh one picture goes on from cell to cell: their
+facing sides show the same.
 """
 
 from __future__ import annotations
@@ -27,6 +28,8 @@ _LENSES = 180
 #: Samples along a line through a lens, and disparities tried, in steps between lenses.
 _SAMPLES = 33
 _RATIOS = np.linspace(-0.7, 0.7, 29)
+#: Shifts next to the farthest ones, which are no minimum of the differences.
+_ENDS = 2
 #: Difference that is noise: less than this tells nothing.
 _FLOOR = 1e-4
 #: Samples at the end of such a line that are the side of a lens.
@@ -151,20 +154,24 @@ def _log_gains(differences: Floats, contrasts: Floats) -> tuple[float, float]:
     """Logarithm of the gain of the right shifts over all, and of no shift; arguments are
     (directions, shifts, lenses).
 
-    The right shift in a direction is the best one of the other directions.
+    The right shift is the best one of all lenses and directions, or, of a scene with several
+    depths, that of each lens in the other directions. The former proves less where it is zero, as
+    that of rims and dirt is. Nothing is gained if all differ least next to the farthest shifts:
+    there they may go on to fall.
     """
-    floor = 0.02 * float(contrasts.mean()) + 1e-6
-    contrasts = contrasts + floor
-    ratios = differences / contrasts
-    lenses = np.arange(ratios.shape[2])
-    found = 0.0
-    within = 0.0
-    for k in range(len(ratios)):
-        others = np.delete(ratios, k, axis=0) if len(ratios) > 1 else ratios
-        best = others.sum(0).argmin(0)
-        found += float(differences[k, best, lenses].sum())
-        within += float(contrasts[k, best, lenses].sum())
-    still = len(_RATIOS) // 2
-    unmoved = float(differences[:, still].sum() / contrasts[:, still].sum())
+    contrasts = contrasts + 0.02 * float(contrasts.mean()) + 1e-6
+    curve = differences.sum((0, 2)) / contrasts.sum((0, 2))
     usual = float(differences.sum() / contrasts.sum()) + 1e-3
-    return float(np.log(usual / (found / within + 1e-3))), float(np.log(usual / (unmoved + 1e-3)))
+    middle = len(curve) // 2
+    still = float(np.log(usual / (curve[middle] + 1e-3)))
+    best = int(curve.argmin())
+    if not _ENDS <= best < len(curve) - _ENDS:
+        return 0.0, still
+    least = float(curve[best])
+    if len(differences) > 1:
+        ratios = differences / contrasts
+        others = (ratios.sum(0) - ratios).argmin(1)
+        chosen = np.arange(len(ratios))[:, None], others, np.arange(ratios.shape[2])
+        own = float(differences[chosen].sum() / contrasts[chosen].sum())
+        least = own if best == middle else min(own, least)
+    return float(np.log(usual / (least + 1e-3))), still
