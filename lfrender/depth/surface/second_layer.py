@@ -426,8 +426,10 @@ def find_second_layer(
         preset,
         hidden,
     )
-    fitted = smooth_fits(gray, neighbours, fits, among).patch_size
-    second = np.where(new & np.isfinite(fitted), fitted, own)
+    fits = smooth_fits(gray, neighbours, fits, among)
+    # A fit that cannot tell two surfaces apart is no better than the match.
+    better = new & (fits.standard_error < gap)
+    second = np.where(better, fits.patch_size, own)
     return np.asarray(second * factor, np.float32)
 
 
