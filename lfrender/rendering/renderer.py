@@ -175,13 +175,8 @@ class Renderer:
         shape = part[3] - part[1], part[2] - part[0]
         image = np.empty((*shape, pixels.shape[2]), np.float32)
         output = Output(image, np.zeros(shape, bool))
-        grid = Grid(
-            self.grid.first + self._moved,
-            self.grid.spacing,
-            np.float32(self.scale),
-            np.array(part[:2]),
-            _ALL,
-        )
+        first = tuple((self.grid.first + self._moved).tolist())
+        grid = Grid(first, self.grid.spacing, np.float32(self.scale), part[:2], _ALL)
         # Off the middle, rims often show a place alone; their last pixel mixes in light of the next
         # microimage.
         radius = self.aperture * lattice.radius - (1 if self._aside else 0)
@@ -190,7 +185,7 @@ class Renderer:
                 min(self._reach, VIEW_REACH * lattice.pitch) if self._aside else self._reach
             ),
             np.float32(self.aperture * lattice.radius + self._aside),
-            np.array([*self.viewpoint.offset, radius * radius], np.float32),
+            tuple(map(np.float32, (*self.viewpoint.offset, radius * radius))),
             np.float32(
                 self.agreement * white_level(pixels, self.calibration) if self.blend else 0.0
             ),
@@ -198,13 +193,13 @@ class Renderer:
         )
         if self._is_packable(pixels) and not self._is_coarse:
             left = np.empty(shape, bool)
-            flat = Flat(lit.packed, lit.shown, np.array(corner), np.array(lattice.image_size))
+            flat = Flat(lit.packed, lit.shown, corner, lattice.image_size)
             blend_rows(flat, lit.light, lenses, *depth, grid, weighting, output, left)
             unpacked = lit.packed.view(pixels.dtype).reshape(*lit.packed.shape, 4)
             flat = flat._replace(pixels=unpacked)
             grid = grid._replace(wanted=left)
         else:
-            flat = Flat(lit.unpacked, lit.shown, np.array(corner), np.array(lattice.image_size))
+            flat = Flat(lit.unpacked, lit.shown, corner, lattice.image_size)
         if not grid.wanted.size or grid.wanted.any():
             blend_pixels(flat, lit.light, lenses, *depth, grid, weighting, output)
         if self._aside and not output.valid.all():
@@ -217,7 +212,7 @@ class Renderer:
             corners = grid._replace(wanted=~output.valid)
             nearest = weighting._replace(
                 widest=np.float32(self._corner_reach),
-                viewpoint=np.array([0, 0, self._corner_reach**2], np.float32),
+                viewpoint=tuple(map(np.float32, (0, 0, self._corner_reach**2))),
                 tolerance=np.float32(0),
             )
             own = lenses._replace(edged=np.zeros_like(lenses.edged))

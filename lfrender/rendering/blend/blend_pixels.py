@@ -8,6 +8,8 @@ per output pixel is enough.
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 from numba import njit
 
@@ -63,14 +65,81 @@ def count_samples(surface, depth, x, y, s, grid, pitch, squares):
     return samples, apart * grid.spacing / side
 
 
-@njit(error_model="numpy", forceinline=True)
-def _interpolate(line, at, across, down, fx, fy, gain, channels, value):
-    """Write `gain` times the values of the flat at place (`fx`, `fy`) from the pixel at `at`."""
+class _Reading(NamedTuple):
+    """Where a lens is read for a scene point."""
+
+    away2: Any  # float32 [px^2]: from its centre to the scene point
+    delta2: Any  # float32 [px^2]: from the viewpoint to the place that is read
+    x: Any  # float64 [px]: that place on the flat
+    y: Any
+
+
+class _Place(NamedTuple):
+    """A place on the flat: pixel to the upper left of it in the part that is read, and float32 [px]
+    from there on.
+    """
+
+    x: Any
+    y: Any
+    right: Any
+    below: Any
+
+
+@njit(error_model="numpy", inline="always")
+def _limits(s, pitch, widest, reach, last):
+    """Slope s / D of a scene point, distance up to which lenses are read for it, and column of the
+    weights of lens types.
+    """
     one = np.float32(1)
-    w01 = gain * fx * (one - fy)
-    w11 = gain * fx * fy
-    w00 = gain * (one - fy) - w01
-    w10 = gain * fy - w11
+    slope = s / pitch
+    limit = min(widest / max(abs(slope), np.float32(1e-6)), reach)
+    ratio = int((slope + one) * np.float32(0.5 * last) + np.float32(0.5))
+    return slope, limit, min(max(ratio, 0), last)
+
+
+@njit(error_model="numpy", inline="always")
+def _read_at(x, y, centre_x, centre_y, slope, view):
+    away_x = np.float32(x - centre_x)
+    away_y = np.float32(y - centre_y)
+    dx = view[0] - away_x * slope
+    dy = view[1] - away_y * slope
+    return _Reading(
+        away_x * away_x + away_y * away_y, dx * dx + dy * dy, centre_x + dx, centre_y + dy
+    )
+
+
+@njit(error_model="numpy", inline="always")
+def _is_on_flat(reading, size):
+    x = reading.x
+    y = reading.y
+    return x >= 0 and y >= 0 and x <= size[0] - 1 and y <= size[1] - 1
+
+
+@njit(error_model="numpy", inline="always")
+def _place_of(reading, size, corner):
+    column = min(int(reading.x), size[0] - 2)
+    row = min(int(reading.y), size[1] - 2)
+    return _Place(
+        column - corner[0],
+        row - corner[1],
+        np.float32(reading.x - column),
+        np.float32(reading.y - row),
+    )
+
+
+@njit(error_model="numpy", forceinline=True)
+def _interpolate(line, across, down, place, gain, channels, value):
+    """Write `gain` times the values of the flat at a place; values of the pixels to the right and
+    below lie `across` and `down` farther in the `line`.
+    """
+    one = np.float32(1)
+    right = place.right
+    below = place.below
+    w01 = gain * right * (one - below)
+    w11 = gain * right * below
+    w00 = gain * (one - below) - w01
+    w10 = gain * below - w11
+    at = place.y * down + place.x * across
     for c in range(channels):
         upper = w00 * np.float32(line[at + c]) + w01 * np.float32(line[at + across + c])
         lower = w10 * np.float32(line[at + down + c])
@@ -79,10 +148,11 @@ def _interpolate(line, at, across, down, fx, fy, gain, channels, value):
 
 
 @njit(error_model="numpy", forceinline=True)
-def _add_agreeing(values, weights, found, t2, channels, mean, total):
+def _add_agreeing(values, weights, found, tolerance, channels, mean, total):
     """Add the mean of the readings, each weighted by how far its colour is from their plain `mean`
     (Geman-McClure).
     """
+    t2 = tolerance * tolerance
     per_channel = np.float32(1 / channels)
     norm = np.float32(0)
     for n in range(found):
@@ -106,59 +176,36 @@ def blend_pixels(begin, end, flat, light, lenses, surface, depth, grid, weightin
 
     The bits do not depend on the part that is drawn.
     """
-    line = flat.pixels.reshape(-1)
-    shown = flat.depth
-    corner = flat.corner
-    stride = flat.pixels.shape[1]
-    width = flat.size[0]
-    height = flat.size[1]
-    across = flat.pixels.shape[2]
-    down = stride * flat.pixels.shape[2]
-    gains = light.gains
-    last_entry = light.gains.shape[1] - 1
-    per_step = 1 / light.step
-    applied = light.applied
-    centres = lenses.centres
-    types = lenses.types
-    tables = lenses.tables
-    rows = lenses.rows
-    low = lenses.low
-    origin = lenses.origin
-    inverse = lenses.inverse
-    bend = lenses.displacements
-    lowest = lenses.lowest
-    offsets = lenses.offsets
-    steps = lenses.steps
-    shares = lenses.shares
-    pitch = lenses.pitch
-    first = grid.first
-    start = grid.start
-    spacing = grid.spacing
+    pixels, shown, corner, size = flat
+    gains, light_step, applied = light
+    centres, types, tables, edged, rows, low = lenses[:6]
+    origin, inverse, bend, lowest = lenses[6:10]
+    offsets, steps, shares, pitch = lenses[10:]
+    image, valid = output
+    per_step = 1 / light_step
     wanted = grid.wanted
-    image = output.image
-    valid = output.valid
-    view_x = weighting.viewpoint[0]
-    view_y = weighting.viewpoint[1]
-    radius2 = weighting.viewpoint[2]
+    reach, widest, view, tolerance, squares = weighting
+    line = pixels.reshape(-1)
+    across = pixels.shape[2]
+    down = pixels.shape[1] * across
     channels = image.shape[2]
-    last_ratio = shares.shape[1] - 1
-    edged = lenses.edged
-    t2 = weighting.tolerance * weighting.tolerance
-    zero = np.float32(0)
+    # A point is nearer than three quarters of a pitch to its nearest lens.
+    beside = np.float32(0.75) * pitch
+    nearest_alone = tolerance <= 0
     one = np.float32(1)
-    values = np.empty((_MOST, 4), np.float32)
+    values = np.empty((_MOST, channels), np.float32)
     weights = np.empty(_MOST, np.float32)
-    mean = np.zeros(4, np.float32)
-    total = np.zeros(4, np.float32)
+    mean = np.zeros(channels, np.float32)
+    total = np.zeros(channels, np.float32)
     for v in range(begin, end):
         for u in range(image.shape[1]):
             if wanted.size > 0 and not wanted[v, u]:
                 continue
-            centre_x = first[0] + (start[0] + u) * spacing
-            centre_y = first[1] + (start[1] + v) * spacing
+            centre_x = grid.first[0] + (grid.start[0] + u) * grid.spacing
+            centre_y = grid.first[1] + (grid.start[1] + v) * grid.spacing
             s = patch_size_at(surface, depth, np.float32(centre_x), np.float32(centre_y))
             samples, apart = count_samples(
-                surface, depth, centre_x, centre_y, s, grid, pitch, weighting.squares
+                surface, depth, centre_x, centre_y, s, grid, pitch, squares
             )
             middle = 0.5 * (samples - 1)
             total[:] = 0
@@ -168,82 +215,61 @@ def blend_pixels(begin, end, flat, light, lenses, surface, depth, grid, weightin
                 y = centre_y + (sample // samples - middle) * apart
                 if samples > 1:
                     s = patch_size_at(surface, depth, np.float32(x), np.float32(y))
-                slope = s / pitch
-                limit = min(weighting.widest / max(abs(slope), np.float32(1e-6)), weighting.reach)
+                slope, limit, ratio = _limits(s, pitch, widest, reach, shares.shape[1] - 1)
                 limit2 = limit * limit
-                ratio = min(
-                    max(int((slope + one) * np.float32(0.5 * last_ratio) + np.float32(0.5)), 0),
-                    last_ratio,
-                )
                 i, j = nearest_index(x, y, origin, inverse, bend, lowest)
-                i = int(i) - low[0]
-                j = int(j) - low[1]
-                # A point is nearer than three quarters of a pitch to its nearest lens.
-                farthest = limit + np.float32(0.75) * pitch
+                farthest = limit + beside
                 found = 0
                 best = np.float32(np.inf)
                 best_at = 0
-                norm = zero
+                norm = np.float32(0)
                 mean[:] = 0
                 for o in range(len(offsets)):
                     if offsets[o] > farthest or found == _MOST:
                         break
-                    column = i + steps[o, 0]
-                    row = j + steps[o, 1]
+                    column = int(i) + steps[o, 0] - low[0]
+                    row = int(j) + steps[o, 1] - low[1]
                     if column < 0 or row < 0 or column >= rows.shape[1] or row >= rows.shape[0]:
                         continue
                     lens = rows[row, column]
                     if lens < 0:
                         continue
-                    ex = np.float32(x - centres[lens, 0])
-                    ey = np.float32(y - centres[lens, 1])
-                    d2 = ex * ex + ey * ey
-                    dx = view_x - ex * slope
-                    dy = view_y - ey * slope
-                    delta2 = dx * dx + dy * dy
-                    if d2 > limit2 or delta2 > radius2 or (t2 <= 0 and d2 >= best):
+                    reading = _read_at(x, y, centres[lens, 0], centres[lens, 1], slope, view)
+                    away2 = reading.away2
+                    delta2 = reading.delta2
+                    if away2 > limit2 or delta2 > view[2] or (nearest_alone and away2 >= best):
                         continue
-                    px = centres[lens, 0] + dx
-                    py = centres[lens, 1] + dy
-                    if not (px >= 0 and py >= 0 and px <= width - 1 and py <= height - 1):
+                    if not _is_on_flat(reading, size):
                         continue
-                    ix = min(int(px), width - 2)
-                    iy = min(int(py), height - 2)
-                    fx = np.float32(px - ix)
-                    fy = np.float32(py - iy)
-                    ix = ix - corner[0]
-                    iy = iy - corner[1]
-                    gain = gains[tables[lens], min(int(delta2 * per_step), last_entry)]
-                    weight = (RIM - max(d2 / limit2, delta2 / radius2)) / (gain * gain)
-                    gain = one + applied * (gain - one)
+                    place = _place_of(reading, size, corner)
+                    gain = gains[tables[lens], min(int(delta2 * per_step), gains.shape[1] - 1)]
+                    weight = (RIM - max(away2 / limit2, delta2 / view[2])) / (gain * gain)
                     weight *= shares[types[lens], ratio]
-                    if (
-                        edged[lens]
-                        and abs(shown[iy + (fy >= 0.5), ix + (fx >= 0.5)] - s) > 2 * depth.edge
-                    ):
-                        weight *= OCCLUDED
-                        d2 += limit2
-                    if d2 < best:
-                        best = d2
+                    if edged[lens]:
+                        at = place.y + (place.below >= 0.5), place.x + (place.right >= 0.5)
+                        if abs(shown[at] - s) > 2 * depth.edge:
+                            weight *= OCCLUDED
+                            away2 += limit2
+                    if away2 < best:
+                        best = away2
                         best_at = found
-                        if t2 <= 0:
-                            farthest = min(farthest, np.sqrt(best) + np.float32(0.75) * pitch)
-                    at = iy * down + ix * across
-                    value = values[found]
-                    _interpolate(line, at, across, down, fx, fy, gain, channels, value)
+                        if nearest_alone:
+                            farthest = min(farthest, np.sqrt(best) + beside)
+                    gain = one + applied * (gain - one)
+                    _interpolate(line, across, down, place, gain, channels, values[found])
                     for c in range(channels):
-                        mean[c] += weight * value[c]
+                        mean[c] += weight * values[found, c]
                     weights[found] = weight
                     norm += weight
                     found += 1
                 if found == 0:
                     continue
                 seen += 1
-                if t2 <= 0:
+                if nearest_alone:
                     total += values[best_at]
                     continue
                 mean /= norm
-                _add_agreeing(values, weights, found, t2, channels, mean, total)
+                _add_agreeing(values, weights, found, tolerance, channels, mean, total)
             valid[v, u] = seen > 0
             for c in range(channels):
                 image[v, u, c] = total[c] / max(seen, 1)

@@ -49,8 +49,8 @@ class Flat(NamedTuple):
     pixels: Any  # (h, w, C) array; (h, w) of C values each in one integer for `blend_rows`
     # (h, w) float32 [px]: patch size that pixels of `edged` lenses show, inf where unlit
     depth: Any
-    corner: Any  # (2,) int [px]: flat coordinates x, y of the first pixel
-    size: Any  # (2,) int [px]: width and height of the whole flat
+    corner: Any  # two int [px]: flat coordinates x, y of the first pixel
+    size: Any  # two int [px]: width and height of the whole flat
 
 
 class Lenses(NamedTuple):
@@ -88,10 +88,10 @@ class Light(NamedTuple):
 class Grid(NamedTuple):
     """Pixels of the picture that are drawn."""
 
-    first: Any  # (2,) float64 [px]: scene coordinates of pixel (0, 0) of the whole picture
+    first: Any  # two float64 [px]: scene coordinates of pixel (0, 0) of the whole picture
     spacing: Any  # float [px]
     scale: Any  # float32: pixels per pitch
-    start: Any  # (2,) int: column and row of the first pixel of the part that is drawn
+    start: Any  # two int: column and row of the first pixel of the part that is drawn
     wanted: Any  # (h, w) bool: pixels that `blend_pixels` draws, (0, 0) for all
 
 
@@ -101,7 +101,7 @@ class Weighting(NamedTuple):
     reach: Any  # float32 [px]: lenses farther from a scene point are not read
     # float32 [px]: lenses are read up to so far from their centres, the viewpoint included
     widest: Any
-    # (3,) float32: x, y [px] and squared radius [px^2] up to which lenses are read about it
+    # Three float32: x, y [px] and squared radius [px^2] up to which lenses are read about it
     viewpoint: Any
     # float32: difference from the mean colour at which a lens counts a quarter; 0: nearest lens
     # alone

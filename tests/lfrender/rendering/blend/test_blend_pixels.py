@@ -21,7 +21,7 @@ def test_a_pixel_on_an_outline_counts_each_surface_by_its_area(share, patch_size
     x = np.arange(0, 80, 0.25)
     sizes = np.where(x < outline - 0.125, -2.5, patch_size).astype(np.float32)
     surface = Surface(np.tile(sizes, (320, 1)), (0.0, 0.0), 0.25)
-    grid = Grid(np.zeros(2), SPACING, np.float32(PITCH / SPACING), np.zeros(2, int), None)
+    grid = Grid((0.0, 0.0), SPACING, np.float32(PITCH / SPACING), (0, 0), None)
     centre = 40.0
     samples, apart = count_samples(
         surface.patch_size,
@@ -40,7 +40,7 @@ def test_a_pixel_on_an_outline_counts_each_surface_by_its_area(share, patch_size
 
 def test_a_pixel_within_a_surface_is_averaged_over_what_is_left_of_its_area():
     surface = Surface(np.full((80, 80), -10.0, np.float32), (0.0, 0.0), 1.0)
-    grid = Grid(np.zeros(2), SPACING, np.float32(PITCH / SPACING), np.zeros(2, int), None)
+    grid = Grid((0.0, 0.0), SPACING, np.float32(PITCH / SPACING), (0, 0), None)
     squares = np.full(41, 3.0, np.float32)
     samples, apart = count_samples(
         surface.patch_size,
