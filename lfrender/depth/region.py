@@ -121,6 +121,8 @@ class Part:
     def near_updated(self, steps: int = 1) -> NDArray[np.bool_]:
         """(n,) bool: lenses to estimate, and those so many steps about them."""
         near = self.updated
+        if self.changed is None:
+            return near
         for _ in range(steps):
             near = dilate_mask(near, self.neighbours.all)
         return near

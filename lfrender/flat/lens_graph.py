@@ -48,7 +48,7 @@ def count_similar(
 
 def dilate_mask(mask: NDArray[np.bool_], neighbours: NDArray[np.int32]) -> NDArray[np.bool_]:
     """(n,) bool: `mask` and all lenses with a neighbour, by rows (n, k), in it."""
-    return mask | (count_neighbours(mask, neighbours) > 0)
+    return np.asarray(mask | np.append(mask, False).take(neighbours.T).any(0))
 
 
 def nearest_lens(centres: NDArray[np.floating], points: ArrayLike) -> NDArray[np.int64]:

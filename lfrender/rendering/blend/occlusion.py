@@ -16,6 +16,7 @@ from lfcal import Lattice
 from lfcal.runtime.kernels import FAST, kernel, square
 
 from ...data.surface import Surface
+from ...depth.same_surface import depth_order
 
 __all__ = ["project_surface"]
 
@@ -42,12 +43,6 @@ class _Lens(NamedTuple):
     radius: Any
 
 
-@njit(fastmath=FAST, inline="always")
-def _nearness(s, pitch):
-    """Order of surfaces from far to near: `s` before the microlenses, `s + 2 D` behind them."""
-    return s if s > 0 else s + 2 * pitch
-
-
 @kernel(error_model="numpy", fastmath=FAST, share=lambda surface, pitch, ranges: ranges.shape[1])
 def _compute_ranges(begin, end, surface, pitch, ranges):
     """Least and largest nearness in each square of the surface."""
@@ -58,7 +53,7 @@ def _compute_ranges(begin, end, surface, pitch, ranges):
             high = np.float32(-np.inf)
             for y in range(v * _SQUARE, min((v + 1) * _SQUARE, rows)):
                 for x in range(u * _SQUARE, min((u + 1) * _SQUARE, columns)):
-                    near = _nearness(surface[y, x], pitch)
+                    near = depth_order(surface[y, x], pitch)
                     low = min(low, near)
                     high = max(high, near)
             ranges[0, v, u] = low
@@ -127,7 +122,7 @@ def _paint(s, x, y, half, lens, pitch, corner, out):
                 continue
             shown = out[v - corner[1], u - corner[0]]
             # True for NaN as well: nothing was projected to this pixel yet.
-            if not _nearness(shown, pitch) >= _nearness(s, pitch):
+            if not depth_order(shown, pitch) >= depth_order(s, pitch):
                 out[v - corner[1], u - corner[0]] = s
 
 
@@ -142,7 +137,7 @@ def _project_values(surface, place, first, end, size, lens, pitch, farthest, cor
     for v in range(first[1], min(end[1], rows), size):
         for u in range(first[0], min(end[0], columns), size):
             s = surface[min(v + size // 2, rows - 1), min(u + size // 2, columns - 1)]
-            if _nearness(s, pitch) <= farthest:
+            if depth_order(s, pitch) <= farthest:
                 continue
             tilt = s * (np.float32(1) / pitch)
             dx = -np.float32(first_x + (u + beyond) * spacing - lens.x) * tilt
