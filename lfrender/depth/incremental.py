@@ -7,19 +7,17 @@ no more than noise, or if it still matches its neighbours at the depth it had.
 from __future__ import annotations
 
 import weakref
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal import Calibration, FlatError, Lattice
+from lfcal import Calibration, FlatError
 
 from ..data.depth_map import DepthMap, check_depth
 from ..data.frame_state import FrameState, LocalMatch
-from ..flat.gray_flat import GrayFlat
 from ..flat.lens_graph import count_connected, dilate_mask
-from ..flat.neighbours import neighbours_of
-from ..flat.texture import LensStatistics, classify_texture, sample_statistics
+from ..flat.texture import classify_texture
 from ..flat.validation import check_flat
 from .changed_lenses import find_changed_lenses
 from .matching.matcher import Matcher
@@ -27,7 +25,7 @@ from .pipeline import estimate_part, locate_part_edges, prepare_flat
 from .presets import PRESETS, Shortcuts
 from .region import Part, rescale_depth
 
-__all__ = ["changed_since", "find_moved", "update_depth"]
+__all__ = ["changed_since", "update_depth"]
 
 # A lens has moved if its cost rises by more than this, or its minimum by more than this [px], or
 # four standard errors of a difference.
@@ -36,41 +34,6 @@ _SHIFT = 0.1
 _ERRORS = 4 * 2**0.5
 # Lenses beside one that moved are in doubt from this part of both limits on.
 _DOUBTFUL = 0.25
-
-
-@dataclass(frozen=True)
-class Previous:
-    """An earlier frame: its depth map, and its flat as it was analysed."""
-
-    depth: DepthMap
-    gray: GrayFlat
-    statistics: LensStatistics
-
-    @classmethod
-    def of(cls, flat: NDArray, calibration: Calibration, depth: DepthMap) -> Previous:
-        """From the flat (H, W, C) of the frame."""
-        gray = prepare_flat(flat, calibration, depth.preset)[0]
-        return cls(depth, gray, sample_statistics(gray))
-
-    def changed(self, gray: GrayFlat) -> NDArray[np.bool_]:
-        """(n,) bool: lenses that show something else in another grey flat."""
-        return find_changed_lenses(self.gray, self.statistics, gray)
-
-    def reference(self, lattice: Lattice, factor: int) -> LocalMatch:
-        """The match of each lens that the next frame is compared with.
-
-        It is the match in the frame in which the depth of the lens was estimated. As several frames
-        may be compared with this one, it is stored in the state of its depth map.
-        """
-        state = self.depth.frame_state
-        if state.complete is None:
-            match = _match_at_depth(
-                self.gray, lattice, self.statistics, self.depth, factor, state.kept
-            )
-            if state.reference is not None and state.kept is not None:
-                match = match.where(state.kept, state.reference)
-            state.complete = match
-        return state.complete
 
 
 def update_depth(
@@ -86,31 +49,30 @@ def update_depth(
     errors as `analyze`.
     """
     earlier = _check_previous(flat, calibration, preset, earlier, before)
-    previous = Previous.of(earlier, calibration, before)
-    gray, lattice, factor = prepare_flat(flat, calibration, preset)
-    changed = previous.changed(gray)
+    old = _part_of(earlier, calibration, preset)
+    part = _part_of(flat, calibration, preset)
+    factor = PRESETS[preset].factor(calibration.lattice.pitch)
+    changed = find_changed_lenses(old.gray, old.statistics, part.gray)
     state = FrameState(changed=changed, previous=weakref.ref(before))
-    kept = ~dilate_mask(changed, neighbours_of(lattice).all)
+    kept = ~dilate_mask(changed, part.neighbours.all)
     saved = {"still": float(kept.mean())}
     if kept.all():
         state.reference = before.frame_state.reference
         state.kept = before.frame_state.kept
         return replace(before, saved=saved, frame_state=state)
 
-    statistics = sample_statistics(gray)
     if shortcuts.steady:
-        state.reference = previous.reference(lattice, factor)
-        match = _match_at_depth(gray, lattice, statistics, before, factor, kept)
-        kept |= _find_steady(state.reference, match, before, kept, neighbours_of(lattice).all)
+        state.reference = _reference(old, before, factor)
+        match = _match_at_depth(part, before, factor, kept)
+        kept |= _find_steady(state.reference, match, before.reason, kept, part.neighbours.all)
         saved["steady"] = float(kept.mean()) - saved["still"]
     if kept.all():
         state.complete = state.reference
         depth = replace(before, saved=saved)
     else:
-        part = Part(gray, lattice, preset)
         if kept.any():
-            old = rescale_depth(before, lattice, 1 / factor)
-            part = replace(part, before=old, changed=~kept)
+            earlier_depth = rescale_depth(before, part.lattice, 1 / factor)
+            part = replace(part, before=earlier_depth, changed=~kept)
         else:
             state.reference = None
         depth = estimate_part(part, shortcuts)
@@ -121,6 +83,11 @@ def update_depth(
     if state.reference is not None:
         state.kept = kept
     return replace(depth, frame_state=state)
+
+
+def _part_of(flat: NDArray, calibration: Calibration, preset: str) -> Part:
+    gray, lattice, _ = prepare_flat(flat, calibration, preset)
+    return Part(gray, lattice, preset)
 
 
 def _check_previous(
@@ -139,19 +106,29 @@ def _check_previous(
     return earlier
 
 
+def _reference(old: Part, before: DepthMap, factor: int) -> LocalMatch:
+    """The match of each lens of an earlier frame that the next one is compared with.
+
+    It is the match in the frame in which the depth of the lens was estimated. As several frames may
+    be compared with this one, it is stored in the state of its depth map.
+    """
+    state = before.frame_state
+    if state.complete is None:
+        match = _match_at_depth(old, before, factor, state.kept)
+        if state.reference is not None and state.kept is not None:
+            match = match.where(state.kept, state.reference)
+        state.complete = match
+    return state.complete
+
+
 def _match_at_depth(
-    gray: GrayFlat,
-    lattice: Lattice,
-    statistics: LensStatistics,
-    depth: DepthMap,
-    factor: int,
-    known: NDArray[np.bool_] | None,
+    part: Part, depth: DepthMap, factor: int, known: NDArray[np.bool_] | None
 ) -> LocalMatch:
     """Match every lens at its `depth`, on pixels `factor` times as large; `known` ones (n,) only as
     neighbours.
     """
-    texture = classify_texture(gray, statistics, statistics.noise)
-    matcher = Matcher(texture, neighbours_of(lattice), PRESETS[depth.preset])
+    texture = classify_texture(part.gray, part.statistics, part.statistics.noise)
+    matcher = Matcher(texture, part.neighbours, PRESETS[part.preset])
     textured = texture.clear | texture.faint
     active = textured if known is None else textured & ~known
     match = matcher.match_locally(active, depth.filled_patch_size / np.float32(factor))
@@ -161,32 +138,19 @@ def _match_at_depth(
 def _find_steady(
     reference: LocalMatch,
     match: LocalMatch,
-    before: DepthMap,
+    reason: NDArray[np.int8],
     still: NDArray[np.bool_],
     neighbours: NDArray[np.int32],
 ) -> NDArray[np.bool_]:
-    """(n,) bool: lenses whose pixels have changed, but that match at the depth they had before."""
-    # Lenses with the same pixels match as they did.
-    match = match.where(still, reference)
-    estimated = (before.reason == 0) & match.textured
-    moved, doubtful = find_moved(reference, match, estimated, before.reason, neighbours)
-    moved &= ~still
-    return ~(moved | (doubtful & dilate_mask(moved, neighbours)))
+    """(n,) bool: lenses whose pixels have changed, but that match at the depth they had before.
 
-
-def find_moved(
-    reference: LocalMatch,
-    match: LocalMatch,
-    estimated: NDArray[np.bool_],
-    reason: NDArray[np.int8],
-    neighbours: NDArray[np.int32],
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Lenses whose depth may have changed, and those in doubt if one of their neighbours has.
-
-    An `estimated` lens (n,) keeps its depth if from `reference` to `match` its cost hardly rose,
-    and its minimum, together with those of two neighbours, hardly moved (`_RISE`, `_SHIFT`). Others
-    are estimated if they now carry texture or match.
+    A lens keeps its depth if from `reference` to `match` its cost hardly rose, and its minimum,
+    together with those of two neighbours, hardly moved (`_RISE`, `_SHIFT`). One without a depth, by
+    its `reason` (n,), is estimated if it now carries texture or matches. Lenses with the same
+    pixels, `still` (n,), match as they did.
     """
+    match = match.where(still, reference)
+    estimated = (reason == 0) & match.textured
     shift = match.offset - reference.offset
     rise = match.cost - reference.cost
     moved = estimated & (rise > _RISE)
@@ -200,7 +164,8 @@ def find_moved(
         # A shift of fewer than three neighbours is noise.
         moved |= count_connected(estimated & (side * shift > limit), neighbours) >= 2
     doubtful = ~estimated | (rise > _DOUBTFUL * _RISE) | (np.abs(shift) > _DOUBTFUL * limit)
-    return np.asarray(moved), np.asarray(doubtful)
+    moved &= ~still
+    return np.asarray(~(moved | (doubtful & dilate_mask(moved, neighbours))))
 
 
 def changed_since(
@@ -212,5 +177,6 @@ def changed_since(
     state = after.frame_state
     if state.changed is not None and state.previous is not None and state.previous() is before:
         return state.changed
-    gray = prepare_flat(flat, calibration, after.preset)[0]
-    return Previous.of(earlier, calibration, after).changed(gray)
+    old = _part_of(earlier, calibration, after.preset)
+    now = _part_of(flat, calibration, after.preset)
+    return find_changed_lenses(old.gray, old.statistics, now.gray)

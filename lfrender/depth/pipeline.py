@@ -19,7 +19,7 @@ from ..data.depth_map import DepthMap
 from ..data.surface import Surface
 from ..flat.gray_flat import GrayFlat, make_gray_flat
 from ..flat.lens_graph import dilate_mask
-from ..flat.texture import find_texture, sample_statistics
+from ..flat.texture import find_texture
 from .edges.locate_edges import locate_edges, places_of_lenses, refine_grid
 from .estimate import LensEstimates, LensSet, estimate_lenses
 from .matching.matcher import sample_lenses
@@ -53,7 +53,7 @@ def estimate_part(part: Part, shortcuts: Shortcuts) -> DepthMap:
     lattice = part.lattice
     whole = part.whole
     before = part.before
-    statistics = sample_statistics(gray)
+    statistics = part.statistics
     blank = None
     if shortcuts.blank:
         raw_noise = None if whole is None else whole.raw_noise

@@ -21,6 +21,7 @@ from ..data.surface import Surface
 from ..flat.gray_flat import GrayFlat
 from ..flat.lens_graph import dilate_mask
 from ..flat.neighbours import Neighbours, neighbours_of
+from ..flat.texture import LensStatistics, sample_statistics
 
 __all__ = [
     "Part",
@@ -98,6 +99,11 @@ class Part:
     def updated(self) -> NDArray[np.bool_]:
         """(n,) bool: lenses to estimate."""
         return np.ones(len(self.lattice), bool) if self.changed is None else self.changed
+
+    @cached_property
+    def statistics(self) -> LensStatistics:
+        """Brightness of the lenses."""
+        return sample_statistics(self.gray)
 
     @property
     def kept_sizes(self) -> NDArray[np.float32]:

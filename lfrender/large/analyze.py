@@ -31,7 +31,7 @@ from ..depth.surface.scene_grid import grid_shape
 from ..flat.gray_flat import GrayFlat, make_gray_flat
 from ..flat.gray_flat import has_uneven_lenses as uneven_lenses
 from ..flat.lens_blur import find_lens_blur
-from ..flat.texture import estimate_noise, find_texture, sample_statistics
+from ..flat.texture import estimate_noise, find_texture
 from ..flat.validation import match_exposure
 from ..runtime.choices import Preset, Shortcut, check_choice
 from ..sequence.workers import Workers
@@ -173,20 +173,19 @@ class _Flat:
         )
 
 
-def _survey_window(flat: _Flat, part: LensTile, pixels: Array) -> tuple[Singles, ...]:
+def _survey_window(flat: _Flat, window: LensTile, pixels: Array) -> tuple[Singles, ...]:
     """Roughness of the lenses of a window, and the depths of those that have one.
 
     Roughness is measured with and without the common shading.
     """
-    gray = flat.gray_tile(part, pixels)
-    plain = sample_statistics(gray)
-    texture = find_texture(gray, part.lattice, plain)
-    depth = estimate_part(Part(gray, part.lattice, flat.preset), Shortcuts.of(False))
-    known = part.inside & ~depth.filled
+    part = Part(flat.gray_tile(window, pixels), window.lattice, flat.preset)
+    texture = find_texture(part.gray, part.lattice, part.statistics)
+    depth = estimate_part(part, Shortcuts.of(False))
+    inside = window.inside
     return (
-        plain.roughness[part.inside],
-        texture.statistics.roughness[part.inside],
-        depth.patch_size[known],
+        part.statistics.roughness[inside],
+        texture.statistics.roughness[inside],
+        depth.patch_size[inside & ~depth.filled],
     )
 
 
