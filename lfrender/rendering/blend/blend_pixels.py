@@ -178,9 +178,19 @@ def blend_pixels(begin, end, flat, light, lenses, surface, depth, grid, weightin
     """
     pixels, shown, corner, size = flat
     gains, light_step, applied = light
-    centres, types, tables, edged, rows, low = lenses[:6]
-    origin, inverse, bend, lowest = lenses[6:10]
-    offsets, steps, shares, pitch = lenses[10:]
+    centres = lenses.centres
+    types = lenses.types
+    tables = lenses.tables
+    edged = lenses.edged
+    rows = lenses.rows
+    low = lenses.low
+    origin = lenses.origin
+    inverse = lenses.inverse
+    bend = lenses.displacements
+    offsets = lenses.offsets
+    steps = lenses.steps
+    shares = lenses.shares
+    pitch = lenses.pitch
     image, valid = output
     per_step = 1 / light_step
     wanted = grid.wanted
@@ -217,7 +227,7 @@ def blend_pixels(begin, end, flat, light, lenses, surface, depth, grid, weightin
                     s = patch_size_at(surface, depth, np.float32(x), np.float32(y))
                 slope, limit, ratio = _limits(s, pitch, widest, reach, shares.shape[1] - 1)
                 limit2 = limit * limit
-                i, j = nearest_index(x, y, origin, inverse, bend, lowest)
+                i, j = nearest_index(x, y, origin, inverse, bend, lenses.lowest)
                 farthest = limit + beside
                 found = 0
                 best = np.float32(np.inf)
