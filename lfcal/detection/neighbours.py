@@ -21,7 +21,7 @@ from ..microimage.lit import STRAY, is_lit
 from ..runtime.arrays import Floats, Singles
 from ..runtime.kernels import kernel
 
-__all__ = ["Likeness", "measure_likeness"]
+__all__ = ["Likeness", "compare_neighbours", "measure_likeness"]
 
 #: Lenses compared, evenly spread over the flat.
 _LENSES = 180
@@ -60,7 +60,6 @@ def measure_likeness(picture: Singles, lattice: Lattice) -> Likeness | None:
     centres = _select_lit(picture, centres, 0.3 * nearest)
     if len(centres) < 24:
         return None
-    near = [step for step in steps[: len(steps) // 2] if np.hypot(*step) < 1.2 * nearest]
     radius = 0.8 * min(lattice.radius, nearest / 2)
     along = np.linspace(-radius, radius, _SAMPLES)
     spacing = float(along[1] - along[0])
@@ -68,19 +67,53 @@ def measure_likeness(picture: Singles, lattice: Lattice) -> Likeness | None:
     contrasts = []
     same_sides = []
     facing_sides = []
-    for step in near:
+    for step in _nearest_steps(lattice):
         own, other = _sample_lines(picture, centres, step, along)
-        shifts = np.rint(_RATIOS * np.hypot(*step) / spacing).astype(int)
-        compared = np.empty((2, len(shifts), len(centres)))
-        _compare(own, other, shifts.clip(1 - _SAMPLES, _SAMPLES - 1), *compared)
-        differences.append(compared[0])
-        contrasts.append(compared[1])
+        difference, contrast = _compare_lines(own, other, _RATIOS * np.hypot(*step) / spacing)
+        differences.append(difference)
+        contrasts.append(contrast)
         first, last = (slice(None, _SIDE), slice(-_SIDE, None))
         same_sides += [_differ(own[:, side], other[:, side]) for side in (first, last)]
         facing_sides.append(_differ(own[:, last], other[:, first]))
     parallax, still = _log_gains(np.array(differences), np.array(contrasts))
     continued = np.log((np.mean(same_sides) + _FLOOR) / (np.mean(facing_sides) + _FLOOR))
     return Likeness(parallax, still, float(continued))
+
+
+def compare_neighbours(
+    picture: Singles, lattice: Lattice, centres: Floats, radius: float, ratios: Floats
+) -> Floats:
+    """Differences of lenses from their neighbours, and contrasts (2, s, n), at disparities (s,).
+
+    They are sums over the nearest neighbours of lenses at `centres` (n, 2) [px], each once;
+    neighbours within `radius` [px] of the border of the picture, or beyond, do not count.
+    """
+    total = np.zeros((2, len(ratios), len(centres)))
+    size = np.array(picture.shape[::-1]) - 1
+    for step in _nearest_steps(lattice):
+        place = centres + step
+        rows = np.flatnonzero(((place >= radius) & (place <= size - radius)).all(1))
+        # Samples as far apart as the disparities, so that shifts are whole numbers of them.
+        spacing = (ratios[1] - ratios[0]) * np.hypot(*step)
+        along = spacing * np.arange(-(radius // spacing), radius // spacing + 1)
+        lines = _sample_lines(picture, centres[rows], step, along)
+        total[:, :, rows] += _compare_lines(*lines, ratios * np.hypot(*step) / spacing)
+    return total
+
+
+def _nearest_steps(lattice: Lattice) -> Floats:
+    """(k, 2) [px] to half of the nearest neighbours, of which the others lie opposite."""
+    steps = (lattice.steps @ lattice.basis)[: len(lattice.steps) // 2]
+    lengths = np.hypot(*steps.T)
+    return np.asarray(steps[lengths < 1.2 * lengths.min()])
+
+
+def _compare_lines(own: Floats, other: Floats, shifts: Floats) -> Floats:
+    """`_compare` at the nearest whole shifts: differences and contrasts (2, s, n)."""
+    compared = np.empty((2, len(shifts), len(own)))
+    most = own.shape[1] - 1
+    _compare(own, other, np.rint(shifts).astype(int).clip(-most, most), *compared)
+    return compared
 
 
 def _differ(first: Floats, second: Floats) -> float:

@@ -164,9 +164,17 @@ def normalise_locally(picture: Singles, window: float) -> Singles:
 
 def interpolate_linear(picture: Singles, positions: Floats) -> Floats:
     """(...,) bilinear interpolation of a picture at positions (..., 2) [px]; nearest outside."""
-    low = np.clip(np.floor(positions), 0, np.array(picture.shape[::-1]) - 2).astype(np.intp)
-    x, y = np.moveaxis(low, -1, 0)
-    right, down = np.moveaxis(np.clip(positions - low, 0, 1), -1, 0)
-    above = (1 - right) * picture[y, x] + right * picture[y, x + 1]
-    below = (1 - right) * picture[y + 1, x] + right * picture[y + 1, x + 1]
+    height, width = picture.shape
+    x = positions[..., 0].clip(0, width - 1)
+    y = positions[..., 1].clip(0, height - 1)
+    left = np.minimum(x.astype(np.intp), width - 2)
+    top = np.minimum(y.astype(np.intp), height - 2)
+    right = x - left
+    down = y - top
+    # Indices of one axis are read twice as fast.
+    pixels = picture.ravel()
+    first = top * width + left
+    second = first + width
+    above = (1 - right) * pixels.take(first) + right * pixels.take(first + 1)
+    below = (1 - right) * pixels.take(second) + right * pixels.take(second + 1)
     return np.asarray((1 - down) * above + down * below)

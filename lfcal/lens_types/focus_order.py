@@ -179,15 +179,20 @@ def _order_over_depth(
     if fit is None:
         return None
     (height, slope), error = fit[0].T, fit[1][1]
-    focus = _find_foci(sharpness, disparity, types)
+    gap = np.diff(np.sort(slope)).min()
+    if gap <= _APART_CONFIRMED * error:
+        return None
+    # Types change places near here, or at the mean of the foci; lines are bent by lenses far from
+    # all foci.
+    middle = -float(height @ slope) / float(slope @ slope)
+    focus = _find_foci(sharpness, disparity, types, middle)
     if (np.diff(focus[np.argsort(slope)]) < 0).any():
         focus[:] = np.nan
     seen = bool(np.isfinite(focus).all())
-    apart = _APART_CONFIRMED if seen else _APART
-    if np.diff(np.sort(slope)).min() <= apart * error:
+    if not seen and gap <= _APART * error:
         return None
-    # Types change places at the mean of the foci; lines are bent by lenses far from all foci.
-    middle = float(focus.mean()) if seen else -float(height @ slope) / float(slope @ slope)
+    if seen:
+        middle = float(focus.mean())
     low, median, high = np.quantile(disparity[known], _MIDDLE)
     # Far from all foci differences fade and slopes reverse: types must change places within the
     # range of the scene.
@@ -196,8 +201,10 @@ def _order_over_depth(
     return slope, focus, float(np.sign(middle))
 
 
-def _find_foci(sharpness: Floats, disparity: Floats, types: TypeMeans) -> Floats:
+def _find_foci(sharpness: Floats, disparity: Floats, types: TypeMeans, start: float) -> Floats:
     """(count,) `s / D` where each of three types is sharpest, NaN where that is not seen.
+
+    All of them change places near `start`.
 
     Two types are equally sharp half-way between their foci, whatever the law by which sharpness
     falls with defocus.
@@ -208,7 +215,7 @@ def _find_foci(sharpness: Floats, disparity: Floats, types: TypeMeans) -> Floats
         return unknown
     low, high = np.nanquantile(disparity, _ALL)
     for pair, other in (((0, 1), 2), ((1, 2), 0), ((2, 0), 1)):
-        meet = float(np.nanmedian(disparity))
+        meet = start
         error = np.inf
         for _ in range(5):
             fit = types.fit_lines(

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import lfcal
-from lfcal.detection.neighbours import measure_likeness
+from lfcal.detection.neighbours import compare_neighbours, measure_likeness
 
 _SIZE = (720, 600)
 _PITCH = 24.0
@@ -52,3 +52,35 @@ def test_cells_of_their_own_content_do_not_match_by_chance(down, most):
 def test_differences_that_fall_to_the_farthest_shift_prove_no_parallax(down):
     lattice = _lattice(down)
     assert measure_likeness(_scene(lattice, 0.75), lattice).parallax == 0
+
+
+_ROW = lfcal.Lattice((12, 20), ((_PITCH, 0), (0, 2 * _PITCH)), (480, 40), 11)
+_RATIOS = np.linspace(-0.6, 0.6, 25)
+
+
+def _row_of_lenses(ratio):
+    """A row of microimages of a plane at `ratio` [s / D], as in GEOMETRY.md."""
+    rng = np.random.default_rng(2)
+    places = np.arange(4000)
+    x = np.broadcast_to(np.arange(480), (40, 480))
+    lens = np.floor(x / _PITCH) + 0.5
+    # A lens shows the place `centre - away / ratio`.
+    seen = 2000 + 5 * (lens - (x / _PITCH - lens) / ratio)
+    rows = [np.interp(row, places, rng.random(4000) + 0.2) for row in seen]
+    return np.array(rows, np.float32)
+
+
+@pytest.mark.parametrize("ratio", [-0.35, 0.25])
+def test_neighbours_differ_least_at_the_disparity_of_the_scene(ratio):
+    centres = np.column_stack([(np.arange(2, 17) + 0.5) * _PITCH - 0.5, np.full(15, 20.0)])
+    difference, contrast = compare_neighbours(_row_of_lenses(ratio), _ROW, centres, 10.0, _RATIOS)
+    alike = (difference / contrast).mean(1)
+    assert _RATIOS[alike.argmin()] == pytest.approx(ratio, abs=0.026)
+    assert alike.min() < 0.5 * np.median(alike)
+
+
+def test_neighbours_beyond_the_border_do_not_count():
+    centres = np.array([[36.0, 20.0], [468.0, 20.0]])
+    compared = compare_neighbours(_row_of_lenses(0.25), _ROW, centres, 10.0, _RATIOS)
+    assert (compared[1, :, 0] > 0).all()
+    assert (compared[:, :, 1] == 0).all()
