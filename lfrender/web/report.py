@@ -94,7 +94,7 @@ def write_report(
     charts = {name: picture_url(picture, ".png") for name, picture in maps.items()}
     raw = Finish("flat.webp").apply(flat_picture(flat, calibration)).image
     finish = Finish("picture.webp").measured(pictures.sharp)
-    drawn = {"all_in_focus": pictures.sharp, **pictures.fixed, "traditional": pictures.traditional}
+    drawn = {"all_in_focus": pictures.sharp, "traditional": pictures.traditional, **pictures.fixed}
     drawn |= {name: flat_picture(pixels, calibration) for name, pixels in (compare or {}).items()}
     shown = {name: finish.apply(picture).image for name, picture in drawn.items()}
     shown["flat"] = reduce_picture(raw, min(1.0, _WIDTH / flat.shape[1]))
@@ -102,9 +102,6 @@ def write_report(
     crop = flat_part(flat, _most_detail(pictures), _CROP * calibration.lattice.pitch)
     room = _ROOM - sum(map(len, [*charts.values(), further, panels, crop["url"]]))
     urls, size = data_urls(shown, room)
-    names = {"all_in_focus": "all in focus", "traditional": "traditional"}
-    names |= {name: f"one patch size, {name}" for name in pictures.fixed}
-    names |= {name: name for name in compare or {}}
     height, width = pictures.sharp.image.shape[:2]
     known = finite(depth.magnification)
     low, high = magnification_range(known) if known.size else _LIMITS_OF_NONE
@@ -126,7 +123,7 @@ def write_report(
         width=width,
         height=height,
         size=size,
-        names=names,
+        names=list(drawn),
         urls=urls,
         sizes=pictures.patch_size,
         charts=charts,

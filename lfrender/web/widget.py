@@ -45,22 +45,20 @@ def light_field_widget(
     import anywidget
     import traitlets
 
-    class LightField(anywidget.AnyWidget):  # type: ignore[misc, name-defined]
-        """The viewer of a light field."""
-
-        _esm = str(read_asset("widget.js"))
-        page = traitlets.Unicode().tag(sync=True)
-        height = traitlets.Int().tag(sync=True)
-        mode = traitlets.Enum(["focus", "range", "sharp", "tiles", "traditional"], "focus").tag(
-            sync=True
-        )
-        plane = traitlets.Float(None, allow_none=True).tag(sync=True)
-        range = traitlets.List(traitlets.Float(), None, allow_none=True, minlen=2, maxlen=2).tag(
-            sync=True
-        )
-        brightness = traitlets.Float(0.0, min=-3.0, max=3.0).tag(sync=True)
-        aperture = traitlets.Float(1.0, min=0.05, max=1.0).tag(sync=True)
-        overlay = traitlets.Float(0.0, min=0.0, max=1.0).tag(sync=True)
-        viewpoint = traitlets.List(traitlets.Float(), [0.0, 0.0], minlen=2, maxlen=2).tag(sync=True)
-
-    return LightField(page=viewer_page(flat, calibration, depth, title), height=height)
+    number = traitlets.Float
+    two = {"minlen": 2, "maxlen": 2}
+    traits = {
+        "page": traitlets.Unicode(),
+        "height": traitlets.Int(),
+        "mode": traitlets.Enum(["focus", "range", "sharp", "tiles", "traditional"], "focus"),
+        "plane": number(None, allow_none=True),
+        "range": traitlets.List(number(), None, allow_none=True, **two),
+        "brightness": number(0.0, min=-3.0, max=3.0),
+        "aperture": number(1.0, min=0.05, max=1.0),
+        "overlay": number(0.0, min=0.0, max=1.0),
+        "viewpoint": traitlets.List(number(), [0.0, 0.0], **two),
+    }
+    shared = {name: trait.tag(sync=True) for name, trait in traits.items()}
+    script = str(read_asset("widget.js"))
+    made: Any = type("LightField", (anywidget.AnyWidget,), {"_esm": script, **shared})
+    return made(page=viewer_page(flat, calibration, depth, title), height=height)
