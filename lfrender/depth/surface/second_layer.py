@@ -108,7 +108,7 @@ def _count_views(squares, limits, start, count, stride, showing, confirming):
         confirming[p] += one if _sum_window(squares, p, stride) <= limits[p] else none
 
 
-@njit(error_model="numpy", forceinline=True)
+@njit(error_model="numpy", fastmath=False, forceinline=True)
 def _make_box(radius):
     """Work memory for lenses of this radius [px]."""
     stride = 2 * (int(np.ceil(radius)) + 1) + 2
