@@ -247,6 +247,14 @@ class WhiteImage:
             * 10 ** (-self.decibels / 20)
         )
 
+    def _draw_specks(self, rng: np.random.Generator) -> NDArray[np.float64]:
+        return rng.uniform((0, 0, 1), (*self.size, 6), (self.dust, 3))
+
+    @property
+    def specks(self) -> NDArray[np.float64]:
+        """(n, 3) place x, y and radius of the specks of dust [px]."""
+        return self._draw_specks(np.random.default_rng(self.seed + 1))
+
     def image(self, exposure: float = 1.0, kind: str = "") -> NDArray[Any]:
         """(h, w) the white image, with the light times `exposure`: uint8 or uint16, or of `kind`
         u1, u2 or f4.
@@ -255,10 +263,7 @@ class WhiteImage:
         light = self.light()
         height, width = light.shape
         y, x = np.mgrid[:height, :width]
-        for _ in range(self.dust):
-            cx = rng.uniform(0, width)
-            cy = rng.uniform(0, height)
-            r = rng.uniform(1, 6)
+        for cx, cy, r in self._draw_specks(rng):
             box = np.s_[
                 max(0, int(cy - 5 * r)) : int(cy + 5 * r), max(0, int(cx - 5 * r)) : int(cx + 5 * r)
             ]
