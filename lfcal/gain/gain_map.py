@@ -39,6 +39,7 @@ __all__ = [
     "Vignetting",
     "count_terms",
     "field_monomials",
+    "first_half",
     "fit_light",
     "fit_light_slope",
     "largest_values",
@@ -65,6 +66,8 @@ _LARGEST = {
 # Degrees of the polynomial of the light that are tried, and lenses for each of its factors.
 _DEGREES = (4, 2)
 _LENSES_PER_TERM = 12
+# [half diagonal] Step for the slope of the polynomial; with 1e-3 it is right to 1e-6.
+_SMALL_STEP = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,11 +227,7 @@ class GainMap(Frozen):
         # In parts, so that memory does not grow with the flat.
         for part in np.array_split(np.arange(len(lenses)), len(lenses) // _PART + 1):
             light = self.sample(lenses[part], int(limit / self.step) + 2)
-            first = np.maximum((light < 0.5).argmax(2), 1)[..., None]
-            before, after = (np.take_along_axis(light, first - k, 2)[..., 0] for k in (1, 0))
-            place = first[..., 0] - (0.5 - after) / np.maximum(before - after, 1e-9)
-            crossed = np.where((light < 0.5).any(2), place * self.step, limit)
-            least[part] = np.clip(np.where(light[..., 0] < 0.5, 0, crossed).min(1), 0, limit)
+            least[part] = first_half(light, self.step, limit).min(1)
         if len(self.lens_gain):
             return np.where(self.lens_gain == 0, 0, least)
         return least
@@ -418,6 +417,19 @@ def count_terms(degree: int) -> int:
     return (degree + 1) * (degree + 2) // 2
 
 
+def first_half(light: Floats, step: float, limit: float) -> Floats:
+    """Distance (...) [px], at most `limit`, at which profiles (..., k) first fall below a half.
+
+    The profiles are at distances `0, step, 2 * step, ...` [px].
+    """
+    dark = light < 0.5
+    first = np.maximum(dark.argmax(-1), 1)[..., None]
+    before, after = (np.take_along_axis(light, first - k, -1)[..., 0] for k in (1, 0))
+    place = first[..., 0] - (0.5 - after) / np.maximum(before - after, 1e-9)
+    crossed = np.where(dark.any(-1), place * step, limit)
+    return np.clip(np.where(dark[..., 0], 0, crossed), 0, limit)
+
+
 def nearest_half(lattice: Lattice) -> float:
     """Half the distance [px] to the nearest microimage."""
     return float(np.hypot(*(lattice.steps @ lattice.basis).T).min() / 2)
@@ -472,13 +484,9 @@ def fit_light_slope(lights: NDArray[np.floating], field: Floats, reach: float) -
     The lenses are at places (n, 2) of the field, whose unit is `reach` [px].
     """
     level = fit_light(lights, field)
-    degree = next(d for d in (*_DEGREES, 0) if count_terms(d) == len(level))
-    slopes = np.zeros((count_terms(max(degree - 1, 0)), 2))
-    for d in range(1, degree + 1):
-        own = level[count_terms(d - 1) : count_terms(d)]
-        order = np.arange(d + 1)
-        # X^(d - b) Y^b has the derivatives (d - b) X^(d - 1 - b) Y^b and b X^(d - b) Y^(b - 1).
-        rows = slice(count_terms(d - 2), count_terms(d - 1))
-        slopes[rows, 0] = ((d - order) * own)[:-1]
-        slopes[rows, 1] = (order * own)[1:]
-    return np.ascontiguousarray(field_monomials(field, len(slopes)) @ slopes / reach)
+    steps = _SMALL_STEP * np.eye(2)
+    ahead, behind = (
+        [field_monomials(field + sign * step, len(level)) @ level for step in steps]
+        for sign in (1, -1)
+    )
+    return np.subtract(ahead, behind).T / (2 * _SMALL_STEP * reach)

@@ -36,7 +36,8 @@ _PIXELS = 1.5e5
 _STEP = 0.25
 # Light of a rim falls by at least this over the radius; a term of the rim moves it by more [px].
 _LEAST = 0.02
-# Directions in which rims are summed, four for each period of the finest harmonic.
+# Harmonics of rims, enough for squares and hexagons with their corners; and directions in which rims
+# are summed, four for each period of the finest harmonic.
 _HARMONICS = 12
 _DIRECTIONS = 4 * _HARMONICS
 # Light through the cutting disc between which pixels lie on its edge.
@@ -159,7 +160,7 @@ def _fit_rim(
     Only the mean and the first three harmonics may change over the field, and the mean rim of the
     whole field is in the profile. Of scenes, whose content leaks into them, none changes.
     """
-    sample = residuals.sample  # squares and hexagons with their corners
+    sample = residuals.sample
     directions = _DIRECTIONS
     harmonics = _HARMONICS
     # Sums over the pixels of the rims in each direction of each window: how far they should move.
@@ -179,23 +180,23 @@ def _fit_rim(
     field = np.repeat(sample.window_terms[:, :terms], directions, axis=0)
     old, rim = np.zeros((2, 1 + 2 * harmonics, terms))
     old[: len(gain.rim), : gain.rim.shape[1]] = gain.rim
+    order = np.outer(np.arange(1, 1 + harmonics), angle)
+    waves = np.ones((1 + 2 * harmonics, len(angle)))
+    waves[1::2] = np.cos(order)
+    waves[2::2] = np.sin(order)
     blocks = []
     places = []
     for k in range(harmonics + 1):
-        waves = (
-            {2 * k: np.sin(k * angle), 2 * k - 1: np.cos(k * angle)}
-            if k
-            else {0: np.ones_like(angle)}
-        )
         own = [
             (row, c)
-            for row in sorted(waves)
+            for row in range(max(2 * k - 1, 0), 2 * k + 1)
             for c in range(terms if k <= 3 else 1)
             if (row, c) != (0, 0)
         ]
         if own:
-            places.append(tuple(np.array(own).T))
-            blocks.append(np.column_stack([waves[row] * field[:, c] for row, c in own]))
+            row, c = np.array(own).T
+            places.append((row, c))
+            blocks.append(waves[row].T * field[:, c])
             # What the map holds already is fitted again, so that its significance is tested again.
             target = target + blocks[-1] @ old[places[-1]]
     for place, factors in zip(
@@ -208,40 +209,24 @@ def _fit_rim(
 
 def _fit_cut(residuals: Residuals, gain: GainMap) -> Array:
     """One Gauss-Newton step of the cutting disc: shift (2), growth, radius and softness."""
-    edge = np.flatnonzero(np.abs(residuals.through - 0.5) < 0.5 - _EDGE)
-    sample, light, through, plane, error, weight = (
-        residuals.sample.select(edge),
-        *(
-            v[edge]
-            for v in (
-                residuals.light,
-                residuals.through,
-                residuals.plane,
-                residuals.error,
-                residuals.weight,
-            )
-        ),
-    )
+    on_edge = np.abs(residuals.through - 0.5) < 0.5 - _EDGE
+    own = residuals.select(np.flatnonzero(on_edge))
+    sample = own.sample
     field = sample.field[sample.lens]
     cut = gain.cut
     offset = np.stack([sample.x, sample.y], axis=1) - cut[:2] - cut[2] * field
     far = np.hypot(*offset.T)
     depth = (cut[3] - far) / cut[4]
-    push = (
-        (light - gain.stray_light)
-        / through
-        * np.exp(-0.5 * depth**2)
-        / (math.sqrt(2 * math.pi) * cut[4])
-        * plane
-    )
+    density = np.exp(-0.5 * depth**2) / (math.sqrt(2 * math.pi) * cut[4])
+    push = (own.light - gain.stray_light) / own.through * density * own.plane
     shift = push[:, None] * offset / far[:, None]
     rows = np.column_stack([shift, (shift * field).sum(1), push, -push * depth])
-    normal = rows.T @ (rows * weight[:, None])
+    normal = rows.T @ (rows * own.weight[:, None])
     normal += 1e-6 * np.trace(normal) * np.eye(5) + 1e-12 * np.eye(5)
     radius, soft = cut[3:]
     # Steps beyond the range of the linear model are shortened.
     most = np.array([1, 1, 1, 1, _SOFTENING]) * soft
-    cut = cut + np.clip(np.linalg.solve(normal, rows.T @ (weight * error)), -most, most)
+    cut = cut + np.clip(np.linalg.solve(normal, rows.T @ (own.weight * own.error)), -most, most)
     least, more = _SOFTEST
     cut[3] = max(cut[3], _SHRINKING * radius)
     cut[4] = np.clip(cut[4], least, least + more * radius)
@@ -250,43 +235,39 @@ def _fit_cut(residuals: Residuals, gain: GainMap) -> Array:
 
 def _fit_shading(residuals: Residuals, gain: GainMap, rims: Booleans) -> Array:
     """New polynomials of the shading: least squares on the normal equations of all windows."""
-    inside = np.flatnonzero(
-        ~rims & (residuals.light > _SHADED[0]) & (residuals.through > _SHADED[1])
-    )
-    sample, light, error, weight = (
-        residuals.sample.select(inside),
-        *(v[inside] for v in (residuals.light, residuals.error, residuals.weight)),
-    )
+    inside = ~rims & (residuals.light > _SHADED[0]) & (residuals.through > _SHADED[1])
+    own = residuals.select(np.flatnonzero(inside))
+    sample = own.sample
     u = sample.x / gain.radius
     v = sample.y / gain.radius
-    rows = light[:, None] * np.column_stack([u, v, u * u, u * v, v * v, np.ones_like(u)])
+    rows = own.light[:, None] * np.column_stack([u, v, u * u, u * v, v * v, np.ones_like(u)])
     windows = sample.windows
     window = sample.window[sample.lens]
     terms = next((count_terms(d) for d in (3, 1) if windows > 2 * count_terms(d)), 1)
     field = sample.window_terms
     shading = np.zeros((5, terms))
     shading[:, : gain.shading.shape[1]] = gain.shading[:, :terms]
-    cells = [(row, c) for row in range(5) for c in range(terms if row < 2 else min(6, terms))]
-    matrix = np.zeros((len(cells), len(cells)))
-    right = np.zeros(len(cells))
+    fitted = np.ones((5, terms), np.bool_)
+    fitted[2:, count_terms(2) :] = False
+    matrix = np.zeros((fitted.sum(), fitted.sum()))
+    right = np.zeros(len(matrix))
     for k in range(windows):
-        own = rows[window == k]
-        weighted = own.T * weight[window == k]
-        normal = weighted @ own
-        pull = weighted @ error[window == k]
+        pixels = rows[window == k]
+        weighted = pixels.T * own.weight[window == k]
+        normal = weighted @ pixels
+        pull = weighted @ own.error[window == k]
         # The light of a window is eliminated (Schur complement).
         mixed = normal[:5, 5] / max(normal[5, 5], 1e-30)
         normal = normal[:5, :5] - np.outer(mixed, normal[5, :5])
         pull = pull[:5] - mixed * pull[5]
-        design = np.zeros((5, len(cells)))
-        for column, (row, c) in enumerate(cells):
-            design[row, column] = field[k, c]
+        design = np.kron(np.eye(5), field[k, :terms])[:, fitted.ravel()]
         matrix += design.T @ normal @ design
         right += design.T @ pull
     # The mean curvature is in the profile.
-    curvature = np.array([1.0 * (cell in ((2, 0), (4, 0))) for cell in cells])
-    matrix += np.outer(curvature, curvature) * np.trace(matrix) + (
-        1e-9 * np.trace(matrix) + 1e-12
-    ) * np.eye(len(cells))
-    shading[tuple(np.array(cells).T)] += np.linalg.solve(matrix, right)
+    mean = np.zeros((5, terms))
+    mean[[2, 4], 0] = 1
+    curvature = mean[fitted]
+    trace = np.trace(matrix)
+    matrix += np.outer(curvature, curvature) * trace + (1e-9 * trace + 1e-12) * np.eye(len(matrix))
+    shading[fitted] += np.linalg.solve(matrix, right)
     return shading

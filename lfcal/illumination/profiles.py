@@ -20,7 +20,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from ..camera.lens_types import LensTypes
-from ..gain.gain_map import BEFORE_RIM, GainMap, Vignetting, nearest_half
+from ..gain.gain_map import BEFORE_RIM, GainMap, Vignetting, first_half, nearest_half
 from ..lattice.lattice import Lattice
 from ..microimage.average import ProfilePlaces, average_profile
 from ..microimage.lit import UNLIT, is_lit
@@ -236,18 +236,6 @@ def average_vignetting(gain: GainMap, lattice: Lattice) -> tuple[Vignetting, flo
     relative = np.clip(relative / relative.max(), 0, 1)
     # In clipped flats only the rims of bright microimages are measured.
     middle = max(float(relative[radii <= CORES[0] * limit].max()), 0.5)
-    radius = limit
-    dark = np.flatnonzero(
-        (relative < 0.5) & (radii > max(_INNER * limit, float(radii[relative.argmax()])))
-    )
-    if len(dark):
-        k = int(dark[0])
-        before = relative[k - 1]
-        after = relative[k]
-        radius = min(
-            limit,
-            float(
-                radii[k - 1] + np.clip((before - 0.5) / max(before - after, 1e-9), 0, 1) * gain.step
-            ),
-        )
+    inside = radii <= max(_INNER * limit, float(radii[relative.argmax()]))
+    radius = float(first_half(np.where(inside, 1, relative), gain.step, limit))
     return Vignetting(relative / middle, gain.step), radius

@@ -146,6 +146,14 @@ class Residuals(NamedTuple):
     # such place
     stray: float
 
+    def select(self, pixels: Integers) -> Residuals:
+        """Some of the pixels."""
+        of_pixels = ("error", "weight", "light", "through", "plane")
+        chosen = {name: getattr(self, name)[pixels] for name in of_pixels}
+        return self._replace(
+            sample=self.sample.select(pixels), places=self.places.select(pixels), **chosen
+        )
+
 
 def collect_residuals(sample: Sample, gain: GainMap, scene: bool, largest: Array) -> Residuals:
     """Compare a sample of lenses with a gain map; in a scene the light of a lens is a plane.
@@ -165,8 +173,8 @@ def collect_residuals(sample: Sample, gain: GainMap, scene: bool, largest: Array
         stray = float(np.average(error[behind], weights=weight[behind]))
     places = ProfilePlaces.of(stretched / gain.step, len(gain.profile))
     kept = np.flatnonzero((weight > 0) & (np.abs(error) <= largest[places.before]))
-    chosen = (error[kept], weight[kept], light[kept], through[kept], plane[kept])
-    return Residuals(sample.select(kept), *chosen, places.select(kept), stray)
+    whole = Residuals(sample, error, weight, light, through, plane, places, stray)
+    return whole.select(kept)
 
 
 def _fit_lens_lights(
