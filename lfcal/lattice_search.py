@@ -16,6 +16,7 @@ from .detection.tones import is_white_image
 from .images.mosaic import equalise_mosaic, remove_mosaic
 from .images.preprocessing import luminance, sqrt_luminance
 from .images.stack import average_scenes, combine_whites, select_contrasted
+from .lattice.lattice import Lattice
 from .lattice.lens_subset import ReadCrop, StackedCrops
 from .lattice.robust_fit import LatticeFit
 from .lattice.stated import LatticeHint
@@ -23,8 +24,9 @@ from .runtime.errors import RAW_FLAT_ADVICE, CalibrationError
 
 __all__ = ["FittedLattice", "find_lattice", "find_lattice_in_crops", "find_lattice_in_piece"]
 
-#: A lattice with this probability ends the search.
+#: A lattice with this probability ends the search, and least one of a lattice that is returned.
 _LIKELY = 0.9
+_LEAST = 0.5
 #: [pitch] from its candidate, beyond which a fit is not that of the lattice with this evidence.
 #: Right fits on the shared flats moved by 0.03 at most.
 _FAR = 0.05
@@ -117,6 +119,9 @@ def find_lattice(
     fitted: list[FittedLattice] = []
     error: CalibrationError | None = None
     for start in islice(candidates, _MOST_FITTED):
+        # A fit tells how precise a lattice is, not that it is one.
+        if start.evidence.with_halves(0.0).probability < _LEAST:
+            continue
         try:
             fitted.append(_fit(lights, start, kind, has_mosaic))
         except CalibrationError as failure:
@@ -124,19 +129,22 @@ def find_lattice(
             continue
         if fitted[-1].probability > _LIKELY:
             break
-    if not fitted:
-        assert error is not None
+    if error is not None and not fitted:
         raise error
-    best = max(fitted, key=lambda one: one.probability)
-    if best.probability < 0.5:
-        raise CalibrationError(describe_doubt(candidates, best))
+    best = max(fitted, key=lambda one: one.probability, default=None)
+    if best is None:
+        raise CalibrationError(
+            describe_doubt(candidates, candidates[0].lattice, candidates[0].evidence)
+        )
+    if best.probability < _LEAST:
+        raise CalibrationError(describe_doubt(candidates, best.fit.lattice, best.evidence))
     return best
 
 
-def describe_doubt(candidates: list[Candidate], best: FittedLattice) -> str:
-    """What repeats on a flat, and what speaks against it being the lattice of microimages."""
-    pitch = best.fit.lattice.pitch
-    text = f"a pattern repeats every {pitch:.1f} px, but {best.evidence.describe_doubt()}"
+def describe_doubt(candidates: list[Candidate], lattice: Lattice, evidence: Evidence) -> str:
+    """What repeats on a flat, and what speaks against the best lattice on it, and another one."""
+    pitch = lattice.pitch
+    text = f"a pattern repeats every {pitch:.1f} px, but {evidence.describe_doubt()}"
     others = [one for one in candidates if abs(one.lattice.pitch / pitch - 1) > 0.02]
     if others:
         other = others[0]

@@ -125,7 +125,9 @@ def proof_by_shape(figures: LatticeFigures) -> float:
     scene = textured * _neighbours_are_alike(figures) * _SOME_MATCH(figures.parallax)
     windows = _CONTENT_INSIDE(figures.content) * scene
     overlap = _OVERLAP(figures.overlap)
-    shape = _LENS_SHAPE(figures.shape) * max(_ALL_CIRCLES(figures.circles), windows, overlap)
+    # A multiple of the cell, such as by the root of two, has as many circles between its points.
+    circles = _ALL_CIRCLES(figures.circles - max(figures.circles_beside, 0.0))
+    shape = _LENS_SHAPE(figures.shape) * max(circles, windows, overlap)
     shape *= _NOT_ROUND + (1 - _NOT_ROUND) * _ROUND(figures.roundness)
     # Gaps of a white image are bright only where microimages overlap. Dark discs may be holes.
     dark = _MAY_BE_HOLES * _is_disc(figures)

@@ -156,8 +156,10 @@ class LineProfile:
         return near, between
 
 
-def find_line_periods(steps: Singles) -> Iterator[Floats]:
-    """The basis (2, 2) [px] of two families of lines on steps (h, w), if there are two."""
+def find_line_periods(steps: Singles, most: float = np.inf) -> Iterator[Floats]:
+    """The basis (2, 2) [px] of two families of lines on steps (h, w), if there are two, at most
+    `most` [px] apart.
+    """
     size = min(_WINDOW, *steps.shape) // 2 * 2
     if size < 8 * _SHORTEST:
         return
@@ -167,7 +169,7 @@ def find_line_periods(steps: Singles) -> Iterator[Floats]:
         angle = np.radians(degrees)
         direction = np.array([np.cos(angle), np.sin(angle)])
         families = []
-        for bin_ in _find_combs(row, size):
+        for bin_ in _find_combs(row, size, size / most):
             family = LineFamily.follow(steps, direction * bin_ / size)
             if family.contrast > _LEAST_CONTRAST:
                 families.append(family)
@@ -301,8 +303,8 @@ def _find_rays(spectrum: Singles) -> Iterator[tuple[float, Floats]]:
         energy[apart < _LEAST_ANGLE] = -1
 
 
-def _find_combs(row: Floats, size: int) -> list[float]:
-    """Fundamental frequencies [bins] of the strongest combs on a ray.
+def _find_combs(row: Floats, size: int, least: float) -> list[float]:
+    """Fundamental frequencies [bins] of the strongest combs on a ray, from `least` on.
 
     A fraction of the true frequency has as many peaks among more places; a multiple has fewer.
     """
@@ -318,6 +320,7 @@ def _find_combs(row: Floats, size: int) -> list[float]:
         best = int(score.argmax())
         if score[best] <= 0:
             break
-        found.append(float(fundamental[best]))
+        if fundamental[best] >= least:
+            found.append(float(fundamental[best]))
         score[np.abs(fundamental / fundamental[best] - 1) < 0.02] = 0
     return found

@@ -43,8 +43,8 @@ _ALL_CENTRES = 8
 #: than `_HALVED`.
 _LARGE = 3e6
 _HALVED = 11.0
-#: [px] pitch at half the size from which on it shows all, and probability of a lattice that is
-#: taken then.
+#: [px] pitch at half the size from which on it shows all, so that such periods are not measured at
+#: full size, and probability of a lattice that is taken then.
 _CLEAR = 16.0
 _LIKELY = 0.5
 #: Probability from which on lines and circles propose no better lattice: not on the shared flats.
@@ -85,12 +85,15 @@ def find_candidates(
     """
     _check_contrast(picture)
     found: list[Candidate] = []
+    most = np.inf
     if picture.size >= _LARGE and not thorough:
         height, width = (length // 2 for length in picture.shape)
         half: Any = cv2.resize(
             picture[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA
         )
         small = _search(FlatFeatures(half), hint and hint.scaled(2), least=_HALVED)
+        if small:
+            most = 2 * _CLEAR
         size = picture.shape[1], picture.shape[0]
         found = [
             replace(one, lattice=one.lattice.scaled(2, size))
@@ -98,7 +101,7 @@ def find_candidates(
             if one.lattice.pitch >= _HALVED
         ]
     if not any(one.evidence.is_certain or _is_clear(one) for one in found):
-        found += _search(FlatFeatures(picture), hint, thorough)
+        found += _search(FlatFeatures(picture), hint, thorough, most=most)
     if found:
         return sorted(found, key=lambda one: -one.evidence.rank)
     if hint is not None:
@@ -154,9 +157,10 @@ def _search(
     hint: LatticeHint | None,
     thorough: bool = False,
     least: float = 0.0,
+    most: float = np.inf,
 ) -> list[Candidate]:
-    """Candidates of all periods, or of those up to a certain one, the most probable first; none if
-    the strongest period is shorter than `least` [px].
+    """Candidates of all periods up to `most` [px], or of those up to a certain one, the most
+    probable first; none if the strongest period is shorter than `least` [px].
 
     The centre of each period that looks most like those of lenses is compared with its neighbours
     at once, others only if no period has a certain one.
@@ -164,14 +168,14 @@ def _search(
     found: list[Candidate] = []
     waiting: list[Candidate] = []
     tried: list[Floats] = []
-    refine = partial(_refine_period, features)
+    refine = partial(_refine_period, features, most=most)
     found_periods = find_periods(features)
     bases = chain(
         map(refine, islice(found_periods, 1)),
         map(refine, _find_finer_periods(features, tried)),
         map(refine, found_periods),
         map(refine, _find_coarser_periods(found)),
-        _find_other_periods(features, tried, found),
+        _find_other_periods(features, tried, found, most),
         map(refine, hint.bases() if hint else ()),
     )
     for basis in bases:
@@ -183,7 +187,7 @@ def _search(
         if hint is not None and not hint.allows(Lattice(np.zeros(2), basis, (1, 1), 1.0)):
             continue
         tried.append(basis)
-        if np.hypot(*basis.T).max() > _OBLONG * shortest:
+        if np.hypot(*basis.T).max() > _OBLONG * shortest or shortest > most:
             continue
         rough = _measure_period(features, basis)
         found += [one for first in rough[:1] for one in _refine_candidate(first)]
@@ -222,17 +226,17 @@ def _find_coarser_periods(found: list[Candidate]) -> Iterator[Floats]:
 
 
 def _find_other_periods(
-    features: FlatFeatures, tried: list[Floats], found: list[Candidate]
+    features: FlatFeatures, tried: list[Floats], found: list[Candidate], most: float
 ) -> Iterator[Floats]:
-    """Periods of lines, then regular arrays near the bases tried so far, unless the spectrum has
-    shown a lattice that is sure.
+    """Periods of lines up to `most` [px], then regular arrays near the bases tried so far, unless
+    the spectrum has shown a lattice that is sure.
     """
     if any(one.evidence.probability > _SURE for one in found):
         return
-    yield from find_line_periods(features.steps)
+    yield from find_line_periods(features.steps, most)
     for known in list(tried):
         for basis in _regular_bases(known):
-            yield _refine_period(features, basis)
+            yield _refine_period(features, basis, most)
 
 
 def _regular_bases(basis: Floats) -> Iterator[Floats]:
@@ -249,12 +253,15 @@ def _regular_bases(basis: Floats) -> Iterator[Floats]:
                 yield one
 
 
-def _refine_period(features: FlatFeatures, basis: Floats) -> Floats:
-    """The basis (2, 2) [px] at which all tiles of a flat agree best, near the given one.
+def _refine_period(features: FlatFeatures, basis: Floats, most: float = np.inf) -> Floats:
+    """The basis (2, 2) [px] at which all tiles of a flat agree best, near the given one, which is
+    kept if its period is longer than `most` [px].
 
     Scene detail that moves from lens to lens may draw it away: where it has moved much, the one
     that explains the flat better is kept.
     """
+    if np.hypot(*basis.T).min() > most:
+        return basis
     pitch = float(np.sqrt(abs(np.linalg.det(basis))))
     levelled = list(features.levelled(pitch))
     refined = refine_basis(

@@ -6,6 +6,16 @@ import numpy as np
 import pytest
 
 import lfcal
+from benchmarks.no_flats import draw_no_flat
+from lfcal import lattice_search
+
+
+def test_lattices_that_no_fit_makes_likely_are_refused_without_one(monkeypatch):
+    fitted = []
+    monkeypatch.setattr(lattice_search, "_fit", lambda *_: fitted.append(1))
+    with pytest.raises(lfcal.CalibrationError, match="a pattern repeats every"):
+        lfcal.calibrate(draw_no_flat(300)[1])
+    assert not fitted
 
 
 def test_final_fit_that_runs_away_is_not_taken(shared):

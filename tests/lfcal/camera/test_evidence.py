@@ -45,6 +45,13 @@ def test_circles_of_another_place_prove_nothing(dark_discs):
     assert matching.probability < 0.5
 
 
+def test_circles_that_lie_between_the_points_as_well_prove_no_shape(house_white_camera):
+    """The cell of an array, turned by 45 degrees and longer by the root of two."""
+    white = replace(house_white_camera.evidence, circles=0.5)
+    assert white.probability > 0.8
+    assert replace(white, circles_beside=0.5).probability < 0.5
+
+
 def test_cloth_and_tiles_are_no_lenses(house_white_camera):
     white = house_white_camera.evidence
     assert white.probability > 0.9

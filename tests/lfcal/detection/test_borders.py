@@ -55,3 +55,9 @@ def test_contrast_tells_borders_from_multiples_fractions_and_shifts_of_their_per
 def test_noise_has_no_lines():
     noise = np.random.default_rng(3).normal(0.5, 0.1, (300, 400)).astype(np.float32)
     assert list(find_line_periods(FlatFeatures(noise).steps)) == []
+
+
+def test_lines_farther_apart_than_asked_for_are_left_out():
+    steps = elemental_images(np.diag([30.0, 30.0]), np.array([200.0, 150.0]))
+    assert len(list(find_line_periods(steps, 32.0))) == 1
+    assert list(find_line_periods(steps, 20.0)) == []
