@@ -1,10 +1,9 @@
 """Measure where the microimages of a flat lie against those of a camera: the one answer that all
 checks of a camera put into words.
 
-Average cells that match the gain map of the camera at hardly any shift confirm it in a few
-milliseconds (`confirmation`). So does strong evidence of its lattice in the middle of the flat, if
-a few hundred lenses of the whole flat agree, in about a tenth of a second. Else the evidence is
-measured on the whole flat, as `calibrate` measures that of candidates. A camera whose lattice has
+Strong evidence of its lattice in the middle of the flat confirms a camera in about a tenth of a
+second, if a few hundred lenses of the whole flat agree. Else the evidence is measured on the whole
+flat, as `calibrate` measures that of candidates. A camera whose lattice has
 enough evidence is compared with the fit that begins there. Only if the flat has no evidence for it,
 another place of this lattice, or another lattice, is looked for. Flats are downscaled to
 microimages of 10 to 20 pixels.
@@ -120,14 +119,10 @@ def measure_camera(calibration: Calibration, image: ArrayLike) -> SeenLattice:
     `image` (h, w) or (h, w, 3) is a white image or any scene capture. FlatError if it has another
     size.
     """
-    from .confirmation import match_gain
-
     reduced = prepare_flat(calibration, image)
     given = calibration.lattice
     small = given.downscaled(reduced.factor)
-    misfit = match_gain(calibration, small, reduced.picture)
-    if misfit is None:
-        misfit = confirm_by_middle(reduced.picture, small)
+    misfit = confirm_by_middle(reduced.picture, small)
     if misfit is not None:
         return SeenLattice(reduced.flat, given, misfit.upscaled(given), True)
     found = _compare(reduced.picture, small)
