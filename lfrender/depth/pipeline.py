@@ -18,7 +18,6 @@ from lfcal import Calibration, Lattice
 from ..data.depth_map import DepthMap
 from ..data.surface import Surface
 from ..flat.gray_flat import GrayFlat, make_gray_flat
-from ..flat.lens_graph import dilate_mask
 from ..flat.texture import find_texture
 from .edges.locate_edges import locate_edges, places_of_lenses, refine_grid
 from .estimate import LensEstimates, LensSet, estimate_lenses
@@ -158,25 +157,17 @@ def _find_second_depths(
     preset: Preset,
     shortcuts: Shortcuts,
 ) -> NDArray[np.float32]:
-    """(n, 2) [px] other patch sizes that lenses may show beside the `filled` (n,), as for
-    `densify`.
+    """(n,) [px] other patch size that each lens may show beside the `filled` one (n,), NaN where
+    there is none: that of its second layer, or the second-best match where none is searched.
     """
-    gap = TOLERANCE * lenses.pitch
-    others = np.full((len(filled), 2), np.nan, np.float32)
-    others[:, 0] = np.where(
-        occurs_among(estimates.second, occurring, gap), estimates.second, np.nan
-    )
+    second = estimates.second
     if preset.second_layer:
         correlation = np.where(lenses.part.updated, estimates.match.correlation, 1)
         tried = occurring if shortcuts.ranges else None
-        rest = find_second_layer(
+        second = find_second_layer(
             lenses.texture, lenses.part.neighbours, filled, correlation, preset, tried
         )
-        # Shading matches itself near zero: a depth there must occur by itself.
-        rest[
-            (np.abs(rest) < SHADING_REACH * lenses.pitch) & ~occurs_among(rest, occurring, gap)
-        ] = np.nan
-        others[:, 1] = rest
-        # Beside a second layer, the second-best match is mostly a rougher value of it.
-        others[dilate_mask(np.isfinite(rest), lenses.part.neighbours.all), 0] = np.nan
-    return others
+    occurs = occurs_among(second, occurring, TOLERANCE * lenses.pitch)
+    # Shading matches itself near zero: a depth there must occur by itself.
+    sure = preset.second_layer & (np.abs(second) >= SHADING_REACH * lenses.pitch)
+    return np.where(occurs | sure, second, np.float32(np.nan))

@@ -127,10 +127,9 @@ def densify(
     `cells` per pitch.
 
     First on a grid of twice the spacing, then between its values where these differ. Given are the
-    patch size (n,) [px] of each lens; two others (n, 2) that it may show, of the second-best match
-    and of the second layer, NaN where there is none; its weight `trust` (n,); and the `noise` of a
-    pixel. Lenses that are `unchanged` (n,) have surroundings as in the surface `before`, if that is
-    of the whole flat.
+    patch size (n,) [px] of each lens; a second one (n,) that it may show, NaN where there is none;
+    its weight `trust` (n,); and the `noise` of a pixel. Lenses that are `unchanged` (n,) have
+    surroundings as in the surface `before`, if that is of the whole flat.
     """
     shape, start, spacing = grid_shape(lattice, cells)
     lenses = lens_array(lattice, TOLERANCE * lattice.pitch, gray.radius)
@@ -207,7 +206,7 @@ def _agree(
 ) -> NDArray[np.bool_]:
     """(n,) bool: where all lenses `around` (n, k) agree to one `gap` and have no second depths."""
     near = np.where(around >= 0, values[around], values[:, None])
-    several = np.asarray(np.isfinite(seconds).any(1))
+    several = np.isfinite(seconds)
     alone = ~(several[around] & (around >= 0)).any(1) & ~several
     return np.asarray(alone & (near.max(1) - near.min(1) <= gap))
 

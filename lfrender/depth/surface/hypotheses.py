@@ -207,9 +207,7 @@ def _find_central(table, count, distance, near, near_x, near_y):
 
 @njit(error_model="numpy")
 def _sort_votes(table, count, voters, shares, sizes, weights):
-    """Depths of `count` voters sorted by patch size, and their weights; the second-best match has a
-    tenth of a vote.
-    """
+    """Depths of `count` voters sorted by patch size, and their weights."""
     number = 0
     for n in range(count):
         for k in range(_SIZE, len(table)):
@@ -220,10 +218,7 @@ def _sort_votes(table, count, voters, shares, sizes, weights):
             while at > 0 and sizes[at - 1] > s:
                 sizes[at], weights[at] = sizes[at - 1], weights[at - 1]
                 at -= 1
-            sizes[at], weights[at] = (
-                s,
-                shares[n] * (np.float32(0.1) if k == _SIZE + 1 else np.float32(1.0)),
-            )
+            sizes[at], weights[at] = s, shares[n]
             number += 1
     return number
 
@@ -338,8 +333,8 @@ def propose_hypotheses(
 
     Where all lenses around agree there is one; the place after the last one stays NaN. Of the
     `coarse` surface of twice the spacing, (0, 0) if there is none, only hypotheses that one of its
-    values about a point has are kept. `table` (n, 6) float32 holds the centre of each lens, its
-    weight, its patch size, second-best one and that of the second layer; around the `agreeing` ones
+    values about a point has are kept. `table` (n, 5) float32 holds the centre of each lens, its
+    weight and its two patch sizes; around the `agreeing` ones
     (n,) all have one depth. A squared difference of views up to `floor` is noise.
     """
     most, _, columns = depths.shape

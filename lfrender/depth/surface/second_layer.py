@@ -427,9 +427,9 @@ def find_second_layer(
         hidden,
     )
     fits = smooth_fits(gray, neighbours, fits, among)
-    # A fit that cannot tell two surfaces apart is no better than the match.
-    better = new & (fits.standard_error < gap)
-    second = np.where(better, fits.patch_size, own)
+    # A fit that cannot tell two surfaces apart is no depth.
+    certain = new & (fits.standard_error < gap)
+    second = np.where(certain, fits.patch_size, np.float32(np.nan))
     return np.asarray(second * factor, np.float32)
 
 

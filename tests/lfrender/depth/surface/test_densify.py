@@ -42,7 +42,7 @@ def _edges(surface):
 
 def test_a_depth_edge_lies_where_the_pixels_have_it(edged_flat):
     gray, lattice, values = edged_flat
-    nothing = np.full((len(values), 2), np.nan, np.float32)
+    nothing = np.full(len(values), np.nan, np.float32)
     found = densify(gray, lattice, values, nothing, np.ones_like(values), 0.001, CELLS)
     # The lenses alone put it anywhere within half a pitch, values of twice the spacing within a
     # whole cell.
@@ -52,7 +52,7 @@ def test_a_depth_edge_lies_where_the_pixels_have_it(edged_flat):
 
 def test_no_depth_lies_between_those_of_two_surfaces(edged_flat):
     gray, lattice, values = edged_flat
-    nothing = np.full((len(values), 2), np.nan, np.float32)
+    nothing = np.full(len(values), np.nan, np.float32)
     found = densify(gray, lattice, values, nothing, np.ones_like(values), 0.001, CELLS).patch_size
     apart = np.minimum(np.abs(found - NEAR), np.abs(found - FAR))
     assert apart.max() < 1.0
@@ -61,7 +61,7 @@ def test_no_depth_lies_between_those_of_two_surfaces(edged_flat):
 def test_values_far_from_an_edge_are_those_of_the_lenses_about_them(edged_flat):
     gray, lattice, _ = edged_flat
     values = (6 + 0.004 * lattice.centres()[:, 0]).astype(np.float32)
-    nothing = np.full((len(values), 2), np.nan, np.float32)
+    nothing = np.full(len(values), np.nan, np.float32)
     found = densify(gray, lattice, values, nothing, np.ones_like(values), 0.001, CELLS)
     inside = slice(2 * CELLS, -2 * CELLS)
     x = found.first[0] + found.spacing * np.arange(found.patch_size.shape[1])
@@ -70,7 +70,7 @@ def test_values_far_from_an_edge_are_those_of_the_lenses_about_them(edged_flat):
 
 def test_lenses_of_no_confidence_leave_no_point_without_depth(edged_flat):
     gray, lattice, values = edged_flat
-    nothing = np.full((len(values), 2), np.nan, np.float32)
+    nothing = np.full(len(values), np.nan, np.float32)
     found = densify(
         gray, lattice, values, nothing, np.where(values == FAR, np.float32(0), 1), 0.001, CELLS
     )
