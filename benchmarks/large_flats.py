@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import subprocess
 import sys
 import tempfile
@@ -28,8 +27,17 @@ from numpy.typing import NDArray
 from lfcal import Calibration, Lattice
 from lfcal.gain.gain_map import Vignetting
 
-__all__ = ["main", "write_flat"]
+__all__ = ["main", "measure_command", "run", "write_flat"]
 
+# Runs a command, and prints its processor seconds and its peak of memory as the last line on
+# stderr. A process counts the memory of the one that starts it, so that this one is small.
+_WATCH = """
+import os, sys
+child = os.spawnvp(os.P_NOWAIT, sys.argv[1], sys.argv[1:])
+_, status, used = os.wait4(child, 0)
+print(used.ru_utime + used.ru_stime, used.ru_maxrss, file=sys.stderr)
+sys.exit(os.waitstatus_to_exitcode(status))
+"""
 _BAND = 512
 _TURN = np.deg2rad(0.7)
 # Output pixels of the paper's picture over pixels of its flat: 106 of 542 megapixels.
@@ -143,29 +151,33 @@ def write_flat(path: Path, size: tuple[int, int], pitch: float) -> Calibration:
     )
 
 
-def _measure(name: str, *command: str) -> dict[str, Any]:
-    """Run a command, print its time and memory, and give its figures."""
+def measure_command(name: str, *command: str) -> dict[str, Any]:
+    """Run a command, print its time and memory, and give its figures.
+
+    Among them are its processor seconds, `"cpu"`, and its peak of memory, `"gib"`.
+    """
     start = time.perf_counter()
-    with tempfile.TemporaryFile() as stdout:
-        process = subprocess.Popen(
-            [sys.executable, "-m", *command, "--json", "--quiet"], stdout=stdout
-        )
-        _, status, used = os.wait4(process.pid, 0)
-        wall = time.perf_counter() - start
-        if status:
-            raise SystemExit(f"{name}: {' '.join(command)} failed")
-        stdout.seek(0)
-        figures = json.loads(stdout.read())
-    peak = used.ru_maxrss / (2**30 if sys.platform == "darwin" else 2**20)
+    words = [sys.executable, "-m", *command, "--json", "--quiet"]
+    done = subprocess.run([sys.executable, "-c", _WATCH, *words], capture_output=True, text=True)
+    wall = time.perf_counter() - start
+    if done.returncode:
+        raise SystemExit(f"{name}: {' '.join(command)} failed: {done.stderr}")
+    figures = json.loads(done.stdout)
+    cpu, peak = map(float, done.stderr.splitlines()[-1].split())
+    peak /= 2**30 if sys.platform == "darwin" else 2**20
     stages = ", ".join(f"{stage} {seconds:.2f}" for stage, seconds in figures["seconds"].items())
     print(
-        f"{name:12s} {wall:8.2f} {used.ru_utime + used.ru_stime:8.2f} {peak:9.2f}  {stages}",
+        f"{name:12s} {wall:8.2f} {cpu:8.2f} {peak:9.2f}  {stages}",
         flush=True,
     )
-    return figures
+    return {**figures, "cpu": cpu, "gib": peak}
 
 
-def _run(folder: Path, size: tuple[int, int], pitch: float, steps: list[str]) -> None:
+def run(
+    folder: Path, size: tuple[int, int], pitch: float, steps: list[str]
+) -> dict[str, dict[str, Any]]:
+    """Measure the commands of some steps; their figures by step."""
+    found = {}
     flat, camera, depth, picture = (
         folder / name for name in ("flat.tif", "camera.json", "depth.npz", "picture.tif")
     )
@@ -199,18 +211,20 @@ def _run(folder: Path, size: tuple[int, int], pitch: float, steps: list[str]) ->
     print(f"{'command':12s} {'wall s':>8s} {'CPU s':>8s} {'peak GiB':>9s}  stages", flush=True)
     drawn = ["-c", str(camera), "-o", str(picture)]
     if "fixed" in steps:
-        figures = _measure("fixed patch", "lfrender.cli.main", "render", str(flat), *drawn, *fixed)
+        figures = found["fixed"] = measure_command(
+            "fixed patch", "lfrender.cli.main", "render", str(flat), *drawn, *fixed
+        )
         print(
             f"{'':12s} picture of {np.prod(figures['size']) / 1e6:.0f} Mpx in "
             f"{figures.get('tiles', 1)} tiles",
             flush=True,
         )
     if "calibrate" in steps:
-        _measure(
+        found["calibrate"] = measure_command(
             "calibrate", "lfcal.cli.main", "calibrate", str(flat), "-o", str(folder / "found.json")
         )
     if "analyze" in steps:
-        _measure(
+        found["analyze"] = measure_command(
             "analyze",
             "lfrender.cli.main",
             "analyze",
@@ -222,7 +236,7 @@ def _run(folder: Path, size: tuple[int, int], pitch: float, steps: list[str]) ->
         )
     if "sharp" in steps:
         given = ["--depth", str(depth)] if depth.exists() else []
-        _measure(
+        found["sharp"] = measure_command(
             "sharp" if given else "whole chain",
             "lfrender.cli.main",
             "render",
@@ -230,6 +244,7 @@ def _run(folder: Path, size: tuple[int, int], pitch: float, steps: list[str]) ->
             *drawn,
             *given,
         )
+    return found
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -246,7 +261,7 @@ def main(arguments: list[str] | None = None) -> None:
     given = parser.parse_args(arguments)
     width, _, height = given.size.partition("x")
     with tempfile.TemporaryDirectory(dir=given.folder) as folder:
-        _run(Path(folder), (int(width), int(height)), given.pitch, given.steps)
+        run(Path(folder), (int(width), int(height)), given.pitch, given.steps)
 
 
 if __name__ == "__main__":

@@ -33,8 +33,11 @@ _ROWS = 5
 _COLUMNS = 9
 
 
-def ray_traced(folder: Path) -> None:
-    """Print the figures of `boards/`."""
+def ray_traced(folder: Path) -> dict[str, float]:
+    """Print the figures of `boards/`.
+
+    Returns the largest errors of the poses: sideways [mm], and depth [% of the distance].
+    """
     truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
     known = truth["camera"]
     poses = truth["poses"]
@@ -61,7 +64,7 @@ def ray_traced(folder: Path) -> None:
         f"{joint_misfit(found, np.array([*true, known['k1'], *[0.0] * 8])):.2f} squares per "
         f"parameter"
     )
-    _print_poses(found, poses)
+    errors = _print_poses(found, poses)
     left_out = []
     for half in (slice(0, None, 2), slice(1, None, 2)):
         some = calibrate_metric(flats[half], camera, board, pixel=known["pixel_mm"])
@@ -81,6 +84,7 @@ def ray_traced(folder: Path) -> None:
         f"sideways {np.median(share[:, 1]):.4f} % of the distance, {share[:, 1].max():.4f} % at "
         f"most"
     )
+    return errors
 
 
 def cramer_rao(found: MetricCalibration) -> np.ndarray:
@@ -119,7 +123,7 @@ def joint_misfit(found: MetricCalibration, true: np.ndarray) -> float:
     return float((off / scale) @ np.linalg.solve(unit, off / scale)) / len(chosen)
 
 
-def _print_poses(found: MetricCalibration, poses: list[dict]) -> None:
+def _print_poses(found: MetricCalibration, poses: list[dict]) -> dict[str, float]:
     sideways = []
     depth = []
     turn = []
@@ -141,6 +145,7 @@ def _print_poses(found: MetricCalibration, poses: list[dict]) -> None:
         f"{np.sqrt(np.mean(np.square(bound))):.2f} Cramer-Rao bounds of a corner noise of "
         f"{found.noise:.4f} px"
     )
+    return {"sideways": float(max(sideways)), "depth": float(max(depth))}
 
 
 def triangulate(seen: Observations) -> list[DetectedBoard]:

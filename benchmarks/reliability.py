@@ -21,7 +21,7 @@ import lfrender
 
 from .random_scenes import draw
 
-__all__ = ["diagram", "main"]
+__all__ = ["compare", "diagram", "main"]
 
 _SEEDS = (0, 20)
 _SAMPLES = 32
@@ -31,7 +31,7 @@ _SAME = 0.25
 _RANGES = np.array([0, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99, 1.0])
 
 
-def _compare(
+def compare(
     flat: NDArray, centres: NDArray, patch_size: NDArray, mixed: NDArray[np.bool_]
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """(n,) confidence, and whether the depth is right, of the lenses whose truth is known."""
@@ -72,7 +72,7 @@ def main(arguments: list[str]) -> None:
         _, capture = draw(seed, _SAMPLES)
         truth = capture.truth
         pooled.append(
-            _compare(
+            compare(
                 capture.flat, truth.calibration.lattice.centres(), truth.patch_size, truth.mixed
             )
         )
@@ -85,7 +85,7 @@ def main(arguments: list[str]) -> None:
             print(f"\n{folder.name}")
             print(
                 diagram(
-                    *_compare(
+                    *compare(
                         flat, truth["centre_px"], truth["disparity_px"], truth["mixed"].astype(bool)
                     )
                 )

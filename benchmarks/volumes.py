@@ -209,36 +209,43 @@ def _plot(rows: list[tuple[float, float, float, float]], path: Path) -> None:
 
 
 def _captures(folder: Path, pictures: Path | None) -> None:
-    for name, (optics, depth_range) in CAPTURES.items():
-        flat, white, dark = (
-            next(folder.glob(f"{name}{kind}.[tp]*"), None) for kind in ("", ".white", ".dark")
-        )
-        if flat is None or white is None:
-            continue
-        pixels = lfcal.read_flat(flat)
-        light = lfcal.read_flat(white)
-        if dark is not None:
-            frame = lfcal.read_flat(dark)
-            pixels = lfcal.subtract_dark(pixels, frame)
-            light = lfcal.subtract_dark(light, frame)
-        camera = lfcal.calibrate(light, kind="white")
-        start = time.process_time()
-        wall = time.perf_counter()
-        volume = lfrender.reconstruct_volume(
-            pixels, camera, lfrender.Microscope(**optics), depth_range=depth_range
-        )
-        seconds = time.process_time() - start
-        passed = time.perf_counter() - wall
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
-        fit = volume.fit
-        print(
-            f"{name:7s} {volume}: {seconds:.0f} processor seconds ({passed:.0f} s), peak "
-            f"{peak:.0f} MB, residual "
-            f"{fit.residual:.3f}, noise {fit.noise:.3f}, {fit.steps} steps: {fit.reason}",
-            flush=True,
-        )
-        if pictures:
-            volume.plot().savefig(pictures / f"{name}.jpg", dpi=110)
+    for name in CAPTURES:
+        measure(folder, name, pictures)
+
+
+def measure(folder: Path, name: str, pictures: Path | None = None) -> dict[str, float]:
+    """Print what the volume of a capture takes, and return it; empty where it is missing."""
+    optics, depth_range = CAPTURES[name]
+    flat, white, dark = (
+        next(folder.glob(f"{name}{kind}.[tp]*"), None) for kind in ("", ".white", ".dark")
+    )
+    if flat is None or white is None:
+        return {}
+    pixels = lfcal.read_flat(flat)
+    light = lfcal.read_flat(white)
+    if dark is not None:
+        frame = lfcal.read_flat(dark)
+        pixels = lfcal.subtract_dark(pixels, frame)
+        light = lfcal.subtract_dark(light, frame)
+    camera = lfcal.calibrate(light, kind="white")
+    start = time.process_time()
+    wall = time.perf_counter()
+    volume = lfrender.reconstruct_volume(
+        pixels, camera, lfrender.Microscope(**optics), depth_range=depth_range
+    )
+    seconds = time.process_time() - start
+    passed = time.perf_counter() - wall
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+    fit = volume.fit
+    print(
+        f"{name:7s} {volume}: {seconds:.0f} processor seconds ({passed:.0f} s), peak "
+        f"{peak:.0f} MB, residual "
+        f"{fit.residual:.3f}, noise {fit.noise:.3f}, {fit.steps} steps: {fit.reason}",
+        flush=True,
+    )
+    if pictures:
+        volume.plot().savefig(pictures / f"{name}.jpg", dpi=110)
+    return {"cpu": seconds, "steps": fit.steps, "residual": fit.residual, "noise": fit.noise}
 
 
 def main() -> None:

@@ -48,6 +48,8 @@ def _no_flats(first: int, last: int) -> Iterator[_Item]:
         yield f"{seed} {name}", picture, None
 
 
+#: Sets of random flats; each is called with the first seed and the one after the last.
+SEEDS = {"cameras": _cameras, "rays": _rays, "no-flats": _no_flats}
 _FORMS: dict[str, Callable[[NDArray[Any]], NDArray[Any]]] = {
     "turned": lambda flat: np.ascontiguousarray(np.rot90(flat)),
     "upside down": lambda flat: np.ascontiguousarray(flat[::-1, ::-1]),
@@ -103,8 +105,12 @@ def _crops(paths: list[str]) -> Iterator[_Item]:
             yield f"{path} {side[0]} x {side[1]} at {left}, {top}", part, centres[inside]
 
 
-def _judge(items: Iterator[_Item]) -> None:
-    """Calibrate each item; print every one that is not right and sure, and the counts."""
+def judge(items: Iterator[_Item]) -> dict[str, int]:
+    """Calibrate each item; print every one that is not right and sure, and the counts.
+
+    Returns the numbers of right, wrong, refused lattices, and of wrong ones that are stated as
+    sure.
+    """
     stated: list[tuple[float, bool]] = []
     refused = 0
     for name, flat, centres in items:
@@ -138,6 +144,8 @@ def _judge(items: Iterator[_Item]) -> None:
         some = [right for confidence, right in stated if low <= confidence < low + 0.1]
         if some:
             print(f"  confidence {low:.1f} to {low + 0.1:.1f}: {sum(some)} of {len(some)} right")
+    wrong = len(stated) - rights
+    return {"right": rights, "wrong": wrong, "refused": refused, "sure": len(sure) - sum(sure)}
 
 
 def _fit(first: int, last: int) -> None:
@@ -155,9 +163,10 @@ def main(arguments: list[str]) -> None:
         _fit(int(rest[0]), int(rest[1]))
         return
     flats = {"forms": _forms, "crops": _crops}
-    seeds = {"cameras": _cameras, "rays": _rays, "no-flats": _no_flats}
-    items = flats[command](rest) if command in flats else seeds[command](int(rest[0]), int(rest[1]))
-    _judge(items)
+    if command in flats:
+        judge(flats[command](rest))
+    else:
+        judge(SEEDS[command](int(rest[0]), int(rest[1])))
 
 
 if __name__ == "__main__":
