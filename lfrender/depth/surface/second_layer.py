@@ -427,9 +427,11 @@ def find_second_layer(
         hidden,
     )
     fits = smooth_fits(gray, neighbours, fits, among)
-    # A fit that cannot tell two surfaces apart is no depth.
+    # A fit that cannot tell two surfaces apart is no depth; nor is one that no neighbour shares.
     certain = new & (fits.standard_error < gap)
-    second = np.where(certain, fits.patch_size, np.float32(np.nan))
+    own = np.where(certain, fits.patch_size, np.float32(np.nan))
+    shared = _occurs_beside(own, own, neighbours, gap) | _occurs_beside(own, small, neighbours, gap)
+    second = np.where(shared, own, np.float32(np.nan))
     return np.asarray(second * factor, np.float32)
 
 
