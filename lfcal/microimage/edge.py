@@ -43,7 +43,7 @@ def blurred_edge(
         One over the radius of the aperture; 0 for a straight edge.
     """
     # Integrals over depth, at both sides of the pixel.
-    side = depth + width * np.array([[-0.5], [0.5]])
+    side = np.stack([depth - width / 2, depth + width / 2])
     t = np.clip(side / blur, -1, 1)
     half = np.sqrt(1 - t**2)
     angle = np.arcsin(t)

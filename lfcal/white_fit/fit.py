@@ -254,7 +254,7 @@ _LEAST_CUT = 0.3
 _MOST_COST = 0.995
 # The same with squares, below which edges are straight: flats with dark gaps between straight edges
 # have 0.17 to 0.23, rounded corners 0.58, discs 2.5. And how often squares are fitted.
-_STRAIGHT = 0.5
+_STRAIGHT = 0.55
 _ROUNDS = 3
 # Scatter of single microimages about the lattice of their mean, over that of a radial profile, below
 # which the mean is the better model: straight edges have 0.2 to 0.5, discs 0.9 and more.

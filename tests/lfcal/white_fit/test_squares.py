@@ -32,7 +32,8 @@ def _draw(pitch: float, gap: float, degrees: float) -> tuple[np.ndarray, np.ndar
 
 
 @pytest.mark.parametrize(
-    ("pitch", "gap", "degrees"), [(35.3, 1, 0), (35.3, 1, 7), (50.1, 3, 20), (20.4, 2, 45)]
+    ("pitch", "gap", "degrees"),
+    [(35, 1, 0), (50, 1, 0), (35.3, 1, 0), (35.3, 1, 7), (50.1, 3, 20), (20.4, 2, 45)],
 )
 def test_centres_of_square_cells_are_right_to_two_thousandths_of_a_pixel(pitch, gap, degrees):
     white, centres = _draw(pitch, gap, degrees)
