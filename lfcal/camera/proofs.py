@@ -57,6 +57,8 @@ _CONTENT_INSIDE = _Ramp(0.5, 2.0)
 # Lens types differ by 0.07 at most, half a cell by 0.16 and more: not Board at another pitch, tiles
 # 7193, windows 7288.
 _ALTERNATING = _Ramp(0.08, 0.15)
+# Where there are no gaps, content leaves up to 0.15.
+_ALTERNATING_BORDERS = _Ramp(0.15, 0.3)
 # Gaps of real arrays have 0.84 and more, content 0.77 at most: Letras, GUV; not halftone 7214.
 _REPEATS = _Ramp(0.78, 0.88)
 # Marks found without the lattice: share of its points.
@@ -241,6 +243,9 @@ def proof_by_borders(figures: LatticeFigures) -> float:
     dark gaps on straight lines.
     """
     touching = _BORDERS(figures.borders) * _SOME_MATCH(figures.parallax)
+    # Parts of cells do not match as whole cells do.
+    halves = _ALTERNATING_BORDERS(figures.classes) * (1 - _STRONG_MATCH(figures.parallax))
+    touching *= 1 - halves
     gaps = _PLAIN_BORDERS(figures.borders) * _DARK_GAPS(figures.light) * is_one_lens(figures)
     differ = (1 - _neighbours_are_alike(figures)) * (1 - gaps)
     scene = _TEXTURED(figures.inside) * (1 - differ)
