@@ -59,9 +59,11 @@ _STRAIGHT = 0.8
 _MOST_MISFIT = 0.15
 # [radius] Shading grows no further beyond this.
 _SHADED = 1.2
-# [px] Side of the squares, and how many of them are compared. With sides of 1 px, discs of 2.2 px
-# were 0.05 px too wide, and those of 0.2 px 0.4 px.
+# [px] Side of the squares, of white images and of scenes, and how many of them are compared. With
+# sides of 1 px, discs of 2.2 px on white images were 0.05 px too wide, and those of 0.2 px 0.4 px.
+# Smaller squares of scenes hold too few pixels to average their content.
 _SIDE = 0.5
+_SIDE_OF_SCENES = 1.0
 _SQUARES = 1000
 # Lenses of a tile for each type; tiles each way of arrays of several types; pixels of a tile.
 _LENSES_OF_TILE = 30
@@ -140,6 +142,7 @@ class _Tile(NamedTuple):
     place: Array  # (2,) in half diagonals from the middle of the flat
     level: float  # light in the middles of microimages
     kind: NDArray[np.int64]  # (m,) type
+    side: float  # [px] of the squares
     offset: Array  # (m, 2) [px] mean place of the pixels of a square
     light: Array  # (m,) over that in the middle of the microimages
     weight: Array  # (m,)
@@ -234,7 +237,7 @@ class _Model:
         total = np.full(len(tile.kind), p[-1])
         slopes = np.zeros((len(tile.kind), len(p)))
         slopes[:, -1] = 1
-        width = float(np.hypot(1, _SIDE))
+        width = float(np.hypot(1, tile.side))
         # Corners between straight sides are farther away.
         reach = (1 + self.straight) * float(p[:t].max() + p[t : 2 * t].max() + width)
         for number, step in enumerate(self.steps):
@@ -382,8 +385,9 @@ def _average(
     offset = offset[keep]
     kinds = kinds[keep]
     inside = (offset @ cell.normals.T <= _BORDER).all(-1)
-    across = int(2 * reach / _SIDE) + 3
-    square = np.floor((offset + reach) / _SIDE).astype(np.int64) + 1
+    side = _SIDE if camera.source == "white" else _SIDE_OF_SCENES
+    across = int(2 * reach / side) + 3
+    square = np.floor((offset + reach) / side).astype(np.int64) + 1
     key = ((kinds[:, None, None] * across + square[..., 1]) * across + square[..., 0])[inside]
     filled, key, number = np.unique(key, return_inverse=True, return_counts=True)
     measured = (value[inside], *offset[inside].T)
@@ -394,6 +398,7 @@ def _average(
         place,
         typical,
         filled[some] // across**2,
+        side,
         np.column_stack(places)[some],
         mean[some],
         number[some].astype(float),

@@ -25,7 +25,7 @@ def test_slopes_of_the_light_are_those_of_differences(straight, types, cut):
     kind = rng.integers(0, model.count, squares)
     offset = rng.uniform(-12, 12, (squares, 2))
     one = np.ones(squares)
-    tile = _Tile(np.array([0.2, 0.3]), 1.0, kind, offset, one, one)
+    tile = _Tile(np.array([0.2, 0.3]), 1.0, kind, 0.5, offset, one, one)
     radii = rng.uniform(7, 9, model.count)
     blurs = rng.uniform(1, 2.5, model.count)
     lights = rng.uniform(0.8, 1.2, model.count)
