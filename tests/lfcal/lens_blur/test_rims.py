@@ -26,3 +26,9 @@ def test_gaps_of_a_scene_tell_the_same_as_the_white_image():
     shot = simulate(SCENES["house"](camera, seed=2), camera, samples=24, seed=5)
     discs, errors = lfcal.calibrate(shot.flat, kind="scene").lens_blur.at([0.0])
     assert abs(discs[0, 0] - 0.25 * 40.0 * 0.25) < 2 * errors[0, 0] < 1.2
+
+
+@pytest.mark.parametrize("name", ["s2_sq", "s4b_tspc"])
+def test_rims_are_seen_on_ray_traced_scenes(shared, name):
+    camera = lfcal.calibrate(lfcal.read_flat(shared("truth", name, "flat.png")))
+    assert camera.lens_blur is not None
