@@ -1,8 +1,8 @@
 """Mean microimage of a flat, and shifts of single microimages against it.
 
 The mean microimage is a picture of one cell of the lattice: rims and gaps follow the outline of the
-cell, whatever its shape. It is made symmetric under a half turn about its centre, which cancels what a wrong centre
-would add to it.
+cell, whatever its shape. It is made symmetric under a half turn about its centre, which cancels what
+a wrong centre would add to it.
 """
 
 from __future__ import annotations

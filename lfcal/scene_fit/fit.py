@@ -1,9 +1,9 @@
 """Lattice of scene captures: one fit through all lenses of a flat, most of which the scene may
 shift.
 
-Each lens is compared with the mean microimage (`microimage.mean_cell`). What the scene shows shifts lenses, and
-video compression drags whole parts of a flat along with what moves in them, so the lattice follows
-the lenses that agree best (`irls`). Neighbours are shifted alike: the standard error comes from
+Each lens is compared with the mean microimage (`microimage.mean_cell`). What the scene shows shifts
+lenses, and video compression drags whole parts of a flat along with what moves in them, so the
+lattice follows the lenses that agree best (`irls`). Neighbours are shifted alike: the standard error comes from
 differences between tiles of the flat, not between lenses.
 """
 

@@ -197,8 +197,25 @@ def _move_between(a, b, middle, other, grow):
 @kernel(error_model="numpy", share=lambda terms, *_: len(terms.centres))
 def _pair_costs(begin, end, terms, strips, masks, rows, tried, out):
     # Numba counts references each time that an array is taken out of a tuple: not in loops.
-    centres, radius, pitch, means, expected, doubts, noise2, shading, half_weight = terms
-    _, values, middle, whole, _, columns, lines, half, width, tall, step, flat_size = strips
+    centres = terms.centres
+    radius = terms.radius
+    pitch = terms.pitch
+    means = terms.means
+    expected = terms.expected
+    doubts = terms.doubts
+    noise2 = terms.noise2
+    shading = terms.shading
+    half_weight = terms.half_weight
+    values = strips.values
+    middle = strips.middle
+    whole = strips.whole
+    columns = strips.columns
+    lines = strips.lines
+    half = strips.half
+    width = strips.width
+    tall = strips.rows
+    step = strips.step
+    flat_size = strips.flat_size
     slots, shared, ends, counts = masks
     sizes, near_zero, which = tried
     line = shared.reshape(-1)

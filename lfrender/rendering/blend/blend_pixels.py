@@ -86,13 +86,13 @@ class _Place(NamedTuple):
 
 
 @njit(error_model="numpy", inline="always")
-def _limits(s, pitch, widest, reach, last):
+def _limits(s, pitch, weighting, last):
     """Slope s / D of a scene point, distance up to which lenses are read for it, and column of the
     weights of lens types.
     """
     one = np.float32(1)
     slope = s / pitch
-    limit = min(widest / max(abs(slope), np.float32(1e-6)), reach)
+    limit = min(weighting.widest / max(abs(slope), np.float32(1e-6)), weighting.reach)
     ratio = int((slope + one) * np.float32(0.5 * last) + np.float32(0.5))
     return slope, limit, min(max(ratio, 0), last)
 
@@ -194,7 +194,9 @@ def blend_pixels(begin, end, flat, light, lenses, surface, depth, grid, weightin
     image, valid = output
     per_step = 1 / light_step
     wanted = grid.wanted
-    reach, widest, view, tolerance, squares = weighting
+    view = weighting.viewpoint
+    tolerance = weighting.tolerance
+    squares = weighting.squares
     line = pixels.reshape(-1)
     across = pixels.shape[2]
     down = pixels.shape[1] * across
@@ -225,7 +227,7 @@ def blend_pixels(begin, end, flat, light, lenses, surface, depth, grid, weightin
                 y = centre_y + (sample // samples - middle) * apart
                 if samples > 1:
                     s = patch_size_at(surface, depth, np.float32(x), np.float32(y))
-                slope, limit, ratio = _limits(s, pitch, widest, reach, shares.shape[1] - 1)
+                slope, limit, ratio = _limits(s, pitch, weighting, shares.shape[1] - 1)
                 limit2 = limit * limit
                 i, j = nearest_index(x, y, origin, inverse, bend, lenses.lowest)
                 farthest = limit + beside
