@@ -16,6 +16,7 @@ import numpy as np
 from .lattice_figures import LatticeFigures
 from .proofs import (
     edges,
+    has_equal_halves,
     is_everywhere,
     is_mesh,
     is_one_lens,
@@ -130,6 +131,8 @@ class Evidence(LatticeFigures):
             return f"the lattices of two halves of the flat differ by {self.halves:.2f} pitches"
         if edges(self) < _STATED:
             return "light and dark places have one shape, as in waves and on boards"
+        if has_equal_halves(self) > _STATED:
+            return "its cells show the same twice: there are smaller ones"
         if is_one_lens(self) < _STATED:
             return "its cells differ by turns: it has two or three points for each lens"
         if is_mesh(self) > _STATED:

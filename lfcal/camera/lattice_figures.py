@@ -51,6 +51,8 @@ class LatticeFigures:
     inverted : float
         Correlation of the average cell with itself half a cell further, the least: boards are their
         own negative.
+    repeated : float
+        The same, the largest: a multiple of the cell of an array consists of equal parts.
     explained : float
         Gain in log likelihood of a pixel if each place of a cell has a mean and a variance of its
         own [nats].
@@ -95,6 +97,7 @@ class LatticeFigures:
     fine: float
     inverted: float
     explained: float
+    repeated: float = 0.0
     overlap: float = 0.0
     parallax: float = 0.0
     still: float = 0.0

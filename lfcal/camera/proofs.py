@@ -14,6 +14,7 @@ from .lattice_figures import LatticeFigures
 
 __all__ = [
     "edges",
+    "has_equal_halves",
     "is_everywhere",
     "is_mesh",
     "is_one_lens",
@@ -57,6 +58,9 @@ _CONTENT_INSIDE = _Ramp(0.5, 2.0)
 # Lens types differ by 0.07 at most, half a cell by 0.16 and more: not Board at another pitch, tiles
 # 7193, windows 7288.
 _ALTERNATING = _Ramp(0.08, 0.15)
+# Equal halves of a cell: cells of arrays have 0.89 at most (Square); not a scaled picture of cells of
+# 3.7 px, whose multiple of four cells has 1.00.
+_EQUAL_HALVES = _Ramp(0.95, 0.99)
 # Where there are no gaps, content leaves up to 0.15.
 _ALTERNATING_BORDERS = _Ramp(0.15, 0.3)
 # Gaps of real arrays have 0.84 and more, content 0.77 at most: Letras, GUV; not halftone 7214.
@@ -109,7 +113,7 @@ def proof_terms(figures: LatticeFigures) -> dict[str, float]:
     by_shape = proof_by_shape(figures)
     content = proof_by_content(figures) * edges(figures) * is_one_lens(figures)
     by_content = max(_CONTENT_PROOF(content), proof_by_circles(figures))
-    everywhere = is_everywhere(figures)
+    everywhere = is_everywhere(figures) * (1 - has_equal_halves(figures))
     return {
         "proof": max(by_shape, by_content, proof_by_borders(figures)) * everywhere,
         "both_proofs": min(by_shape, by_content) * everywhere,
@@ -196,6 +200,11 @@ def is_one_lens(figures: LatticeFigures) -> float:
     Three lens types differ by 0.07 at most, half a cell by 0.16 and more.
     """
     return 1 - _ALTERNATING(figures.classes)
+
+
+def has_equal_halves(figures: LatticeFigures) -> float:
+    """How far the average cell shows the same twice, as a multiple of the cell does, 0 to 1."""
+    return _EQUAL_HALVES(figures.repeated)
 
 
 def is_mesh(figures: LatticeFigures) -> float:

@@ -18,7 +18,7 @@ from .folding import BINS
 from .neighbours import measure_likeness
 from .tones import measure_tones
 
-__all__ = ["Marks", "add_overlap", "add_parallax", "measure_evidence"]
+__all__ = ["Marks", "add_overlap", "add_parallax", "half_cell_likeness", "measure_evidence"]
 
 #: Rings of an average cell.
 _RINGS = 24
@@ -56,6 +56,7 @@ def measure_evidence(
     content_beside = maps.variance[border].mean() + 1e-3
     counts = [_count_marks(one, lattice) for one in marks]
     # Bright gaps have peaks of their own; only lenses have round rims.
+    likeness = half_cell_likeness(maps.brightness)
     rims_beside = counts[0][1] > max(counts[0][0], _RIMS_BESIDE)
     own, beside = counts[0] if rims_beside else max(counts)
     return Evidence(
@@ -70,7 +71,8 @@ def measure_evidence(
         circles=own,
         circles_beside=beside,
         fine=_fine_share(maps.brightness),
-        inverted=_inverted_likeness(maps.brightness),
+        inverted=min(likeness),
+        repeated=max(likeness),
         explained=maps.explained(),
         shape=_shape_share(maps, parts, centre),
         borders=_measure_borders(lattice, centre, lines),
@@ -169,12 +171,13 @@ def _fine_share(cell: Floats) -> float:
     return 1 - float(power[first].sum() / max(float(power.sum()), 1e-30))
 
 
-def _inverted_likeness(cell: Floats) -> float:
-    """Least correlation of a map with itself, shifted by half a cell in any lattice direction."""
+def half_cell_likeness(cell: Floats) -> list[float]:
+    """Correlations of a map with itself, shifted by half a cell in three lattice directions."""
     rest = cell - cell.mean()
     half = BINS // 2
     moved = [np.roll(rest, shift, (0, 1)) for shift in ((half, 0), (0, half), (half, half))]
-    return min(float((rest * one).sum()) for one in moved) / max(float((rest * rest).sum()), 1e-30)
+    energy = max(float((rest * rest).sum()), 1e-30)
+    return [float((rest * one).sum()) / energy for one in moved]
 
 
 @dataclass(frozen=True)

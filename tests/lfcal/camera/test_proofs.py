@@ -60,12 +60,23 @@ def test_lenses_that_touch_are_proven_by_borders_alone():
     [
         (LENSES, {"fine": 0.0, "circles": 0.0}),
         (LENSES, {"inverted": -0.98}),
+        (LENSES, {"repeated": 0.995}),
+        (TOUCHING, {"repeated": 0.995}),
         (replace(TOUCHING, parallax=0.5), {"classes": 0.35}),
         (TOUCHING, {"parallax": 0.1}),
         (TOUCHING, {"halves": 0.1}),
         (TOUCHING, {"inside": -5.0, "detail": 0.0}),
     ],
-    ids=["waves", "board", "half a cell", "tiles", "two lattices", "no content"],
+    ids=[
+        "waves",
+        "board",
+        "two cells",
+        "two touching cells",
+        "half a cell",
+        "tiles",
+        "two lattices",
+        "no content",
+    ],
 )
 def test_other_patterns_are_not_proven(figures, changed):
     assert proofs.proof_terms(figures)["proof"] > 0.9
