@@ -21,7 +21,8 @@ from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import sample_mask
 from ..lattice.robust_fit import LatticeFit, field_rms
 from ..lattice.standard_errors import equal_weight_errors
-from ..microimage.mean_cell import average_cells, build_lens_equations
+from ..microimage.lens_equations import build_lens_equations
+from ..microimage.mean_cell import average_cells
 from ..runtime.arrays import ENOUGH_LENSES, Booleans, Floats, Integers, Singles, evenly
 from ..runtime.errors import CalibrationError
 from .irls import LensShifts, error_inflation, find_regular_ratio, solve_irls

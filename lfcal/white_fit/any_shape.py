@@ -12,7 +12,8 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from ..lattice.lattice import Lattice
-from ..microimage.mean_cell import average_cells, build_lens_equations
+from ..microimage.lens_equations import build_lens_equations
+from ..microimage.mean_cell import average_cells
 from ..runtime.arrays import Floats, Singles
 from .kernel import Sums
 from .microimages import Microimages
