@@ -14,6 +14,9 @@ __all__ = ["list_candidates", "list_depths", "mark_levels"]
 
 # Patch sizes of up to 0.8 pitches either way are told apart in so many levels, one bit each.
 _LEVELS = 64
+# Levels and bins begin beside simple fractions of a pitch, by this share of their width: constant
+# surfaces and steps of the search lie on such fractions, and rounding errors would sort them.
+_BESIDE = 0.37
 # Cost of a depth that is not present at a pixel, nearby, and that of the surface there, in units of
 # the mismatch. With half of the second, ten scenes lose 0.04 dB less, but R5b has 82 instead of 69
 # specks a megapixel and AntLeg 130 instead of 107.
@@ -22,7 +25,7 @@ _COSTS = np.array([1, 0.03, 0], np.float32)
 
 @njit(inline="always")
 def _level_of(s, pitch):
-    return min(max(int((s / pitch + 0.8) * (_LEVELS / 1.6)), 0), _LEVELS - 1)
+    return min(max(int((s / pitch + 0.8) * (_LEVELS / 1.6) + _BESIDE), 0), _LEVELS - 1)
 
 
 def mark_levels(surface: NDArray[np.float32], pitch: float, reach: int) -> NDArray[np.uint64]:
@@ -30,7 +33,8 @@ def mark_levels(surface: NDArray[np.float32], pitch: float, reach: int) -> NDArr
     values each way.
     """
     one = np.uint64(1)
-    level = np.clip(((surface / pitch + 0.8) * (_LEVELS / 1.6)).astype(int), 0, _LEVELS - 1)
+    level = ((surface / pitch + 0.8) * (_LEVELS / 1.6) + _BESIDE).astype(int)
+    level = np.clip(level, 0, _LEVELS - 1)
     bits = np.zeros(surface.shape, np.uint64)
     for beside in (-1, 0, 1):
         bits |= one << np.clip(level + beside, 0, _LEVELS - 1).astype(np.uint64)
@@ -73,7 +77,7 @@ def list_depths(surface, grid, x, y, lenses, work):
             away2 = (first + u * spacing - x) ** 2 + (first + v * spacing - y) ** 2
             # A microimage shows radius * pitch / s of the scene each way.
             if away2 * s * s <= (pitch * abs(s) + radius * pitch) ** 2:
-                place = min(max(int(s / width + BINS // 2), 0), BINS - 1)
+                place = min(max(int(s / width + BINS // 2 + _BESIDE), 0), BINS - 1)
                 bins[0, place] += 1
                 bins[1, place] += s
     found = place = 0

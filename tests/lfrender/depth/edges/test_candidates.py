@@ -15,7 +15,7 @@ LATTICE = Lattice([10.0, 10.0], [[PITCH, 0], [0, PITCH]], (200, 160), 9.0)
 
 
 def _bit(size):
-    return np.uint64(1) << np.uint64(int((size / PITCH + 0.8) * 40))
+    return np.uint64(1) << np.uint64(int((size / PITCH + 0.8) * 40 + 0.37))
 
 
 def test_levels_of_a_place_are_those_within_reach():
@@ -50,3 +50,21 @@ def test_depths_of_a_lens_are_those_of_the_surface_it_may_show(size):
     assert work.depths[0] == pytest.approx(size, abs=1e-4)
     assert list_depths(surface, grid, 150.0, 70.0, lenses, work) == 2
     np.testing.assert_allclose(sorted(work.depths[:2]), sorted([size, 9.0]), atol=1e-4)
+
+
+def test_rounding_errors_of_simple_patch_sizes_change_no_depth():
+    spacing = PITCH / 7
+    grid = PointGrid(-0.5, spacing)
+    lenses = lens_array(LATTICE, 0.04 * PITCH, 8.0)
+    found = []
+    for error in (-1e-6, 1e-6):
+        # Tenths and hundredths of a pitch, one after the other.
+        sizes = np.float32(PITCH) * np.float32([0.2, 0.24, 0.26, 0.3, 0.31, 0.37])
+        surface = np.tile(np.repeat(sizes * np.float32(1 + error), 4), (57, 3))[:, :71]
+        work = make_microimage(19)
+        number = list_depths(np.ascontiguousarray(surface), grid, 90.0, 70.0, lenses, work)
+        found.append(work.depths[:number].copy())
+        levels = mark_levels(np.ascontiguousarray(surface), PITCH, 2)
+        found.append(levels)
+    np.testing.assert_allclose(found[2], found[0], atol=1e-4)
+    np.testing.assert_array_equal(found[3], found[1])
