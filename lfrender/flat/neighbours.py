@@ -8,30 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Lattice
-from lfcal.runtime.kernels import kernel
 
 __all__ = ["Neighbours", "neighbours_of"]
-
-
-@kernel(error_model="numpy", share=lambda neighbours, out: len(out))
-def _find_two_rings(begin, end, neighbours, out):
-    """Write the neighbours of each lens and their neighbours, each once, into `out` (n, m)."""
-    for lens in range(begin, end):
-        count = 0
-        for k in range(neighbours.shape[1]):
-            if neighbours[lens, k] >= 0:
-                out[lens, count] = neighbours[lens, k]
-                count += 1
-        for n in range(count):
-            for k in range(neighbours.shape[1]):
-                other = neighbours[out[lens, n], k]
-                new = other >= 0 and other != lens and count < out.shape[1]
-                for seen in range(count):
-                    new &= out[lens, seen] != other
-                if new:
-                    out[lens, count] = other
-                    count += 1
-        out[lens, count:] = -1
 
 
 class Neighbours:
@@ -108,27 +86,23 @@ class Neighbours:
 
     @cached_property
     def two_rings(self) -> NDArray[np.int32]:
-        """(n, 6 d) the lenses in two rings about each: its neighbours and theirs, then -1."""
-        return _two_rings(self.all)
+        """(n, 6 d) the lenses in two rings about each, the nearest first."""
+        return self.rows(self._two_ring_steps())
 
     @cached_property
     def distant_rings(self) -> NDArray[np.int32]:
         """`two_rings` of every third lens, whose estimates are nearly independent of those of the
         nearest two rings.
         """
-        # -1 leads to the last row, which leads nowhere.
-        beyond = np.vstack([self.all, np.full((1, self.all.shape[1]), -1, np.int32)])
-        each = np.arange(self.all.shape[1])
-        far = self.all
-        for _ in range(2):
-            far = beyond[far, each]
-        return _two_rings(far)
+        return self.rows(3 * self._two_ring_steps())
 
-
-def _two_rings(neighbours: NDArray[np.int32]) -> NDArray[np.int32]:
-    out = np.empty((len(neighbours), 3 * neighbours.shape[1]), np.int32)
-    _find_two_rings(np.ascontiguousarray(neighbours), out)
-    return out
+    def _two_ring_steps(self) -> NDArray[np.int64]:
+        """(6 d, 2) index steps to the nearest lenses, and from these to theirs."""
+        nearest = self._nearest
+        beyond = (nearest[:, None] + nearest).reshape(-1, 2)
+        steps = np.concatenate([nearest, beyond[beyond.any(1)]])
+        _, first = np.unique(steps, axis=0, return_index=True)
+        return steps[np.sort(first)]
 
 
 def neighbours_of(lattice: Lattice) -> Neighbours:

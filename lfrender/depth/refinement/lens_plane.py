@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from lfcal.runtime.kernels import FAST, kernel, square
+from lfcal.runtime.kernels import FAST, kernel
 
 from ...flat.gray_flat import GrayFlat
 from ...flat.neighbours import Neighbours
@@ -166,67 +166,41 @@ def _fit_planes(
         spreads[lens, 3] = max(weights - 1 - 2 * own, 0.0)
 
 
-@kernel(fastmath=FAST, error_model="numpy", share=lambda neighbours, *_: len(neighbours))
-def _predict_slants(begin, end, neighbours, gap, planes: _Planes, prior):
+def _predict_slants(
+    planes: _Planes, alike: NDArray[np.bool_], neighbours: NDArray[np.int32], prior: NDArray
+) -> None:
     """Fill `prior` with the mean slant of each lens and its neighbours on one surface, and its
-    inverse variance.
+    inverse variance, where there are two or more.
     """
-    sizes = planes.sizes
     slants = planes.slants
-    spreads = planes.spreads
-    for lens in range(begin, end):
-        if not np.isfinite(spreads[lens, 0]):
-            continue
-        weight = np.float32(1.0) / spreads[lens, 1]
-        total = weight
-        x = weight * slants[lens, 0]
-        y = weight * slants[lens, 1]
-        squares = weight * (square(slants[lens, 0]) + square(slants[lens, 1]))
-        count = np.float32(1.0)
-        for k in range(neighbours.shape[1]):
-            other = neighbours[lens, k]
-            if other < 0 or not same_surface(sizes[other], sizes[lens], gap):
-                continue
-            weight = np.float32(1.0) / spreads[other, 1]
-            total += weight
-            x += weight * slants[other, 0]
-            y += weight * slants[other, 1]
-            squares += weight * (square(slants[other, 0]) + square(slants[other, 1]))
-            count += 1
-        if count < 3:
-            continue
-        x /= total
-        y /= total
-        # Scatter about the mean beyond the errors of the slants is curvature of the surface.
-        scatter = np.float32(0.5) * (squares / total - x * x - y * y) * count / (count - 1)
-        curvature = max(scatter - count / total, np.float32(0.0))
-        prior[lens, 0], prior[lens, 1] = x, y
-        prior[lens, 2] = np.float32(1.0) / (curvature + 1 / total)
+    weight = 1 / planes.spreads[:, 1:2]
+    terms = weight * np.column_stack([np.ones_like(weight), slants, np.square(slants).sum(1)])
+    count = 1 + alike.sum(1)
+    some = count >= 3
+    count = count[some]
+    sums = terms[some] + np.einsum("nk,nkt->nt", alike[some], terms[neighbours[some]])
+    total = sums[:, 0]
+    mean = sums[:, 1:3] / total[:, None]
+    # Scatter about the mean beyond the errors of the slants is curvature of the surface.
+    scatter = 0.5 * (sums[:, 3] / total - np.square(mean).sum(1)) * count / (count - 1)
+    curvature = np.maximum(scatter - count / total, 0)
+    prior[some, :2] = mean
+    prior[some, 2] = 1 / (curvature + 1 / total)
 
 
-@kernel(fastmath=FAST, error_model="numpy", share=lambda neighbours, *_: len(neighbours))
-def _standard_errors(begin, end, neighbours, pitch, gap, planes: _Planes, out, slant_errors):
-    """Errors of lenses, scaled by the scatter of their pairs and of their neighbours' on one
-    surface, and for what all pairs of a lens share by one and |s| over the pitch.
+def _standard_errors(
+    planes: _Planes, alike: NDArray[np.bool_], neighbours: NDArray[np.int32], pitch: float
+) -> NDArray[np.float32]:
+    """(n, 2) errors of patch sizes and slants, scaled by the scatter of the pairs of a lens and of
+    its neighbours on one surface, and for what all pairs of a lens share by one and |s| over the
+    pitch.
     """
-    sizes = planes.sizes
     spreads = planes.spreads
-    for lens in range(begin, end):
-        out[lens] = slant_errors[lens] = np.inf
-        if not np.isfinite(spreads[lens, 0]):
-            continue
-        chi2 = spreads[lens, 2]
-        freedom = spreads[lens, 3]
-        for k in range(neighbours.shape[1]):
-            other = neighbours[lens, k]
-            if other >= 0 and same_surface(sizes[other], sizes[lens], gap):
-                chi2 += np.float32(0.5) * spreads[other, 2]
-                freedom += np.float32(0.5) * spreads[other, 3]
-        factor = (1 + abs(sizes[lens]) / pitch) * np.sqrt((chi2 + 1) / (freedom + 1))
-        out[lens], slant_errors[lens] = (
-            factor * np.sqrt(spreads[lens, 0]),
-            factor * np.sqrt(spreads[lens, 1]),
-        )
+    scatter = spreads[:, 2:] + 0.5 * np.einsum("nk,nkt->nt", alike, spreads[neighbours, 2:])
+    chi2, freedom = scatter.T
+    factor = (1 + np.abs(planes.sizes) / pitch) * np.sqrt((chi2 + 1) / (freedom + 1))
+    errors = factor[:, None] * np.sqrt(spreads[:, :2])
+    return np.where(np.isnan(errors), np.inf, errors).astype(np.float32)
 
 
 def fit_lens_planes(
@@ -249,15 +223,20 @@ def fit_lens_planes(
     planes = _Planes(np.empty(n, float32), np.empty((n, 2), float32), np.empty((n, 4), float32))
     prior = np.zeros((n, 3), float32)
     prior[:, 2] = 1 / steepest**2
-    gap = float32(TOLERANCE * gray.pitch)
     measured = (gray.centres, pitch, neighbours.all, pairs)
     _fit_planes(*measured, start.astype(float32), prior, 4, planes)
-    _predict_slants(neighbours.all, gap, planes, prior)
+    _predict_slants(planes, _find_alike(gray, neighbours, planes), neighbours.all, prior)
     _fit_planes(*measured, planes.sizes.copy(), prior, 2, planes)
-    errors = np.empty(n, float32)
-    slant_errors = np.empty(n, float32)
-    _standard_errors(neighbours.all, pitch, gap, planes, errors, slant_errors)
+    alike = _find_alike(gray, neighbours, planes)
+    errors, slant_errors = _standard_errors(planes, alike, neighbours.all, gray.pitch).T.copy()
     return LensFits(planes.sizes, errors, planes.slants, slant_errors)
+
+
+def _find_alike(gray: GrayFlat, neighbours: Neighbours, planes: _Planes) -> NDArray[np.bool_]:
+    """(n, k) bool: neighbours on the surface of each lens."""
+    rows = neighbours.all
+    gap = TOLERANCE * gray.pitch
+    return (rows >= 0) & same_surface(planes.sizes[rows], planes.sizes[:, None], gap)
 
 
 def fit_lenses(

@@ -89,7 +89,7 @@ def _smooth(
         for k in range(rows.shape[1]):
             other = rows[lens, k]
             if other < 0:
-                break
+                continue
             noise = np.float64(errors[other]) ** 2
             if not np.isfinite(noise):
                 continue

@@ -29,12 +29,8 @@ def test_two_rings_hold_every_lens_once(kind, count):
     for lens, rows in enumerate(rings):
         found = rows[rows >= 0]
         assert len(np.unique(found)) == len(found) <= count and lens not in found
-        # All lenses that near, except at corners of the flat, where no neighbour leads to them.
         near = np.flatnonzero((apart[lens] < 2.1) & (apart[lens] > 0))
-        assert set(found) <= set(near)
-    complete = (neighbours.all >= 0).all(1)
-    inner = complete & complete[neighbours.all].all(1)
-    assert ((rings[inner] >= 0).sum(1) == count).all()
+        assert set(found) == set(near)
 
 
 @pytest.mark.parametrize("kind", ["hex", "square"])

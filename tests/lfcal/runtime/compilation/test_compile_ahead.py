@@ -12,13 +12,13 @@ from benchmarks.kernels import encode_type
 from lfcal.runtime.compilation import compile_ahead as ahead
 
 KERNEL = [
-    "lfrender.flat.neighbours._find_two_rings",
+    "lfcal.images.preprocessing._edge_strength",
     "int64",
     "int64",
-    ["array", "int32", 2, "C", True],
-    ["array", "int32", 2, "C", True],
+    ["array", "float32", 2, "C", True],
+    ["array", "float32", 2, "C", True],
 ]
-ABSENT = ["lfrender.flat.neighbours.absent", "int64"]
+ABSENT = ["lfcal.images.preprocessing.absent", "int64"]
 
 
 @pytest.fixture(autouse=True)
@@ -27,7 +27,7 @@ def cache(tmp_path, monkeypatch):
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
     listed = tmp_path / "signatures.json"
     listed.write_text(
-        json.dumps([KERNEL, ABSENT, [*KERNEL[:-1], ["array", "int64", 2, "C", True]]])
+        json.dumps([KERNEL, ABSENT, [*KERNEL[:-1], ["array", "float64", 2, "C", True]]])
     )
     monkeypatch.setattr(ahead, "SIGNATURE_FILE", listed)
     return tmp_path / "cache"
@@ -44,7 +44,7 @@ def test_an_installation_compiles_its_kernels_once_and_counts_those_that_do_not_
     assert not ahead.is_compiled()
     assert ahead.compile_once(2, lambda done, count: seen.append((done, count))) == 1
     assert seen == [(1, 2), (2, 2)]
-    assert len(list(cache.rglob("neighbours._find_two_rings*.nbc"))) == 2
+    assert len(list(cache.rglob("preprocessing._edge_strength*.nbc"))) == 2
     assert ahead.is_compiled()
     monkeypatch.setattr(ahead, "compile_ahead", lambda *_: pytest.fail("compiled again"))
     assert ahead.compile_once() == 0
