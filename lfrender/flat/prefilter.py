@@ -19,61 +19,68 @@ __all__ = ["pack_flat", "prefilter_flat"]
 
 
 def prefilter_flat(pixels: NDArray) -> NDArray:
-    """The flat (H, W, C) sharpened by `p - (sum of the four neighbours - 4 p) / 12`; integers are
-    rounded and clipped.
+    """The flat (H, W, C) sharpened by `p - (sum of the four neighbours - 4 p) / 12`; integers, of
+    at most four channels, are rounded and clipped.
     """
-    rows = np.ascontiguousarray(pixels).reshape(len(pixels), -1)
-    out = np.empty(rows.shape, np.float32)
-    _filter_floats(rows, pixels.shape[2], np.float32(1 / 12), out)
     if pixels.dtype.kind in "ui":
-        out = np.clip(out + np.float32(0.5), 0, np.iinfo(pixels.dtype).max)
-    return out.astype(pixels.dtype, copy=False).reshape(pixels.shape)
+        packed = pack_flat(pixels, True)
+        return packed.view(pixels.dtype).reshape(*packed.shape, 4)[:, :, : pixels.shape[2]]
+    rows = _rows_of(pixels)
+    out = np.empty(rows.shape, np.float32)
+    _sharpen(rows, pixels.shape[2], out)
+    return out.reshape(pixels.shape)
+
+
+def pack_flat(
+    pixels: NDArray[np.uint8 | np.uint16], sharpened: bool
+) -> NDArray[np.uint32 | np.uint64]:
+    """The flat, `sharpened` as by `prefilter_flat`, with the channels of each pixel, at most four,
+    in one number (H, W), the first lowest.
+    """
+    out = np.empty(pixels.shape[:2], np.uint32 if pixels.dtype == np.uint8 else np.uint64)
+    highest = np.float32(np.iinfo(pixels.dtype).max)
+    _pack(_rows_of(pixels), pixels.shape[2], sharpened, highest, out)
+    return out
+
+
+def _rows_of(pixels: NDArray) -> NDArray:
+    """(H, W C) the rows of a flat (H, W, C)."""
+    return np.ascontiguousarray(pixels).reshape(len(pixels), -1)
 
 
 # Without fastmath: a part of a flat gets the same bits as the whole, whatever pixels a vector loop
 # handles together.
 @njit(error_model="numpy")
-def _filter_row(flat, y, channels, into):
-    """Sixteen times the pixels of a row less their four neighbours: twelve times what is wanted, in
-    the type of `into`.
-
-    Whole numbers of 16 bits in bytes, and of single precision in others, are exact.
+def _sharpen_row(flat, y, channels, into):
+    """Sixteen times the pixels of a row less their four neighbours: twelve times what is wanted,
+    exact for whole numbers of 16 bits.
     """
-    kind = into.dtype.type
+    single = np.float32
     height, width = flat.shape
     above = flat[max(y - 1, 0)]
     here = flat[y]
     below = flat[min(y + 1, height - 1)]
-    n = max(width - 2 * channels, 0)
-    before = here[:n]
     own = here[channels:]
     after = here[2 * channels :]
     up = above[channels:]
     down = below[channels:]
-    middle = into[channels:]
-    for k in range(n):
-        middle[k] = (
-            kind(own[k]) * kind(16)
-            - (kind(before[k]) + kind(after[k]))
-            - (kind(up[k]) + kind(down[k]))
-        )
+    inner = into[channels:]
+    for k in range(max(width - 2 * channels, 0)):
+        across = single(here[k]) + single(after[k])
+        inner[k] = single(own[k]) * single(16) - across - (single(up[k]) + single(down[k]))
     for end in range(min(2 * channels, width)):
         k = end if end < channels else width - 2 * channels + end
-        left = here[k - channels if k >= channels else k]
-        right = here[k + channels if k < width - channels else k]
-        into[k] = (
-            kind(here[k]) * kind(16)
-            - (kind(left) + kind(right))
-            - (kind(above[k]) + kind(below[k]))
-        )
+        across = single(here[max(k - channels, k % channels)])
+        across += single(here[min(k + channels, width - channels + k % channels)])
+        into[k] = single(here[k]) * single(16) - across - (single(above[k]) + single(below[k]))
 
 
-@kernel(error_model="numpy", share=lambda flat, *_: len(flat))
-def _filter_floats(begin, end, flat, channels, twelfth, out):
+@kernel(error_model="numpy", share=lambda *given: len(given[-1]))
+def _sharpen(begin, end, flat, channels, out):
     for y in range(begin, end):
-        _filter_row(flat, y, channels, out[y])
+        _sharpen_row(flat, y, channels, out[y])
         for k in range(flat.shape[1]):
-            out[y, k] *= twelfth
+            out[y, k] *= np.float32(1 / 12)
 
 
 @njit
@@ -95,54 +102,19 @@ def _pack_row(row, channels, into):
             into[x] = pixel
 
 
-@kernel(share=lambda flat, *_: len(flat))
-def _pack(begin, end, flat, channels, out):
-    for y in range(begin, end):
-        _pack_row(flat[y], channels, out[y])
-
-
-@kernel(share=lambda flat, *_: len(flat))
-def _pack_bytes(begin, end, flat, channels, out):
-    line = np.empty(flat.shape[1], np.int16)
-    row = np.empty(flat.shape[1], np.uint8)
-    for y in range(begin, end):
-        _filter_row(flat, y, channels, line)
-        for k in range(len(row)):
-            # 5462 / 65536 is a twelfth, rounded up by less than counts below 4096.
-            value = min(max(np.int16(line[k] + np.int16(6)), np.int16(0)), np.int16(12 * 255 + 11))
-            row[k] = np.uint8((np.uint32(value) * np.uint32(5462)) >> np.uint32(16))
-        _pack_row(row, channels, out[y])
-
-
-@kernel(share=lambda flat, *_: len(flat))
-def _pack_shorts(begin, end, flat, channels, out):
-    line = np.empty(flat.shape[1], np.float32)
-    row = np.empty(flat.shape[1], np.uint16)
+@kernel(error_model="numpy", share=lambda *given: len(given[-1]))
+def _pack(begin, end, flat, channels, sharpened, highest, out):
+    """Pack the rows of a flat; values up to `highest` are sharpened."""
+    row = np.empty(out.shape[1] * channels, flat.dtype)
+    line = np.empty(len(row), np.float32)
     # The constant 1/12 is rounded up, so that truncating the product is integer division.
     six = np.float32(6)
     twelfth = np.float32(1 / 12)
-    highest = np.float32(65535)
     for y in range(begin, end):
-        _filter_row(flat, y, channels, line)
+        if not sharpened:
+            _pack_row(flat[y], channels, out[y])
+            continue
+        _sharpen_row(flat, y, channels, line)
         for k in range(len(row)):
             row[k] = np.int32(min(max(line[k] + six, np.float32(0)) * twelfth, highest))
         _pack_row(row, channels, out[y])
-
-
-def pack_flat(
-    pixels: NDArray[np.uint8 | np.uint16], sharpened: bool
-) -> NDArray[np.uint32 | np.uint64]:
-    """The flat, `sharpened` as by `prefilter_flat`, with the channels of each pixel, at most four,
-    in one number (H, W), the first lowest.
-    """
-    rows = np.ascontiguousarray(pixels).reshape(len(pixels), -1)
-    of_bytes = pixels.dtype == np.uint8
-    out = np.empty(pixels.shape[:2], np.uint32 if of_bytes else np.uint64)
-    if not sharpened:
-        pack = _pack
-    elif of_bytes:
-        pack = _pack_bytes
-    else:
-        pack = _pack_shorts
-    pack(rows, pixels.shape[2], out)
-    return out

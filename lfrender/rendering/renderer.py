@@ -191,15 +191,12 @@ class Renderer:
             ),
             self._squares,
         )
+        flat = Flat(lit.unpacked, lit.shown, corner, lattice.image_size)
         if self._is_packable(pixels) and not self._is_coarse:
             left = np.empty(shape, bool)
-            flat = Flat(lit.packed, lit.shown, corner, lattice.image_size)
-            blend_rows(flat, lit.light, lenses, *depth, grid, weighting, output, left)
-            unpacked = lit.packed.view(pixels.dtype).reshape(*lit.packed.shape, 4)
-            flat = flat._replace(pixels=unpacked)
+            packed = flat._replace(pixels=lit.packed)
+            blend_rows(packed, lit.light, lenses, *depth, grid, weighting, output, left)
             grid = grid._replace(wanted=left)
-        else:
-            flat = Flat(lit.unpacked, lit.shown, corner, lattice.image_size)
         if not grid.wanted.size or grid.wanted.any():
             blend_pixels(flat, lit.light, lenses, *depth, grid, weighting, output)
         if self._aside and not output.valid.all():

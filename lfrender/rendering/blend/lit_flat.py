@@ -41,7 +41,9 @@ class LitFlat:
 
     @property
     def unpacked(self) -> NDArray[Any]:
-        """(h, w, C) the pixels for `blend_pixels`."""
+        """(h, w, C) the pixels for `blend_pixels`, with four channels if they are integers."""
+        if self.pixels.dtype.kind in "ui":
+            return self.packed.view(self.pixels.dtype).reshape(*self.packed.shape, 4)
         return prefilter_flat(self.pixels) if self.sharpened else self.pixels
 
 
