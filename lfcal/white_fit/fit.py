@@ -251,7 +251,7 @@ _PIXELS = 3.2e6
 # [px] A disc cuts microimages if it reaches into those in the corners by more than this.
 _LEAST_CUT = 0.3
 # Robust squared residuals with two discs over those without, up to which the discs are believed.
-_MOST_COST = 0.995
+_MOST_COST = 0.999
 # The same with squares, below which edges are straight: flats with dark gaps between straight edges
 # have 0.17 to 0.23, rounded corners 0.58, discs 2.5. And how often squares are fitted.
 _STRAIGHT = 0.55
@@ -438,8 +438,7 @@ def _find_cut(tones: StackedCrops, plain: Fit, bent: Fit) -> TwoDiscs | None:
     `plain` has no distortion that is not known, `bent` has one if it is significant, of any kind.
     """
     narrowing, error = measure_narrowing(bent.lenses)
-    # A cut by one pixel narrows microimages by 0.2 px.
-    if narrowing < max(_NEGLIGIBLE, SIGNIFICANT * error):
+    if narrowing < SIGNIFICANT * error:
         return None
     lenses = cut_out(tones, plain.lattice, *_DISCS, plain.lenses)
     discs = fit_two_discs(lenses, plain.lattice)

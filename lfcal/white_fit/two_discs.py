@@ -43,9 +43,10 @@ from .microimages import Microimages
 __all__ = ["TwoDiscs", "choose_lens", "fit_two_discs"]
 
 _STEPS = np.array([(i, j) for j in (-1, 0, 1) for i in (-1, 0, 1) if (i, j) != (0, 0)])
-# Where the fit starts: growth and radii of both discs over the radius of whole microimages.
-_START_GROWTH = np.array([-0.15, 0.15])
-_START_RADIUS = np.array([1.02, 1.08])
+# Where the fit starts: growth and radii of both discs over the radius of whole microimages. Of two
+# equal discs the lattice follows the middle; a disc that cuts only the corners leaves it to the
+# lenses.
+_STARTS = np.array([(-0.15, 0.15, 1.02, 1.08), (0, 0.2, 1, 1.2), (0, -0.2, 1, 1.2)])
 _START_SHADING = 0.02
 _START_CORRELATION = 0.3
 # Radii over that radius: standard deviation, and least one.
@@ -72,7 +73,8 @@ _STEP = 1e-3
 # Relative error of the blur that both edges share: no model is more exact.
 _MODEL_FAULT = 0.02
 # Pixels of the first two fits, and of the last one.
-_FIRST_PIXELS = (10_000, 20_000)
+_FIRST_PIXELS = 10_000
+_MORE_PIXELS = 20_000
 _LAST_PIXELS = 150_000
 # [px] Centres with a larger standard error are doubtful.
 _MOST_ERROR = 0.03
@@ -285,21 +287,21 @@ def fit_two_discs(lenses: Microimages, lattice: Lattice) -> TwoDiscs | None:
     matters near the end, then on more, at last by Gauss-Newton steps on most of those near the
     edges.
     """
-    p, spread = _start(lenses)
-    expected = p
-    everything = spread
+    starts, spread = _starts(lenses)
     low, high = _bounds(lenses.radius)
-    slope = lenses.slope.copy()
+    simple = spread.copy()
+    simple[[TAIL, CORRELATION]] = 0
     try:
-        for number, held in zip(_FIRST_PIXELS, ([TAIL, CORRELATION], []), strict=True):
-            spread = everything.copy()
-            spread[held] = 0
-            pixels = _choose_pixels(lenses, slope, lattice, number)
-            p, gain, errors = _minimise(pixels, p, expected, spread, low, high)
-            # The gains of cut microimages had been fitted without a cut, and the slope of the light
-            # with them.
-            gains = lenses.gain[pixels.rows] * np.maximum(gain, _LEAST_GAIN)
-            slope[pixels.rows] = fit_light_slope(gains, lenses.field[pixels.rows], lenses.reach)
+        pixels = _choose_pixels(lenses, lenses.slope, lattice, _FIRST_PIXELS)
+        fits = [_minimise(pixels, start, start, simple, low, high) for start in starts]
+        misses = [np.abs(pixels.compare(p, np.ones(len(pixels.light)))[0]).mean() for p, *_ in fits]
+        nearest = int(np.argmin(misses))
+        expected = starts[nearest]
+        p, gain, _ = fits[nearest]
+        slope = _correct_slope(lenses, lenses.slope, pixels, gain)
+        pixels = _choose_pixels(lenses, slope, lattice, _MORE_PIXELS)
+        p, gain, errors = _minimise(pixels, p, expected, spread, low, high)
+        slope = _correct_slope(lenses, slope, pixels, gain)
         if lattice.distortion is None and abs(p[BEND]) < max(
             _LEAST_BEND, SIGNIFICANT * errors[BEND]
         ):
@@ -315,27 +317,37 @@ def fit_two_discs(lenses: Microimages, lattice: Lattice) -> TwoDiscs | None:
     return choose_lens(found)
 
 
-def _start(lenses: Microimages) -> tuple[Floats, Floats]:
-    """Parameters to start from, and the standard deviations by which they may differ.
+def _correct_slope(lenses: Microimages, slope: Floats, pixels: _Pixels, gain: Floats) -> Floats:
+    """Slope (n, 2) [1/px] of the light with the gains of cut microimages.
 
-    The start is two equal discs, displaced to both sides of the lattice through their middles.
+    These had been fitted without a cut, and the slope with them.
     """
+    rows = pixels.rows
+    gains = lenses.gain[rows] * np.maximum(gain, _LEAST_GAIN)
+    corrected = slope.copy()
+    corrected[rows] = fit_light_slope(gains, lenses.field[rows], lenses.reach)
+    return corrected
+
+
+def _starts(lenses: Microimages) -> tuple[Floats, Floats]:
+    """Parameters (s, 19) to start from, and the standard deviations by which they may differ."""
     radius = lenses.radius
-    p = np.zeros(COUNT)
+    starts = np.zeros((len(_STARTS), COUNT))
     spread = np.full(COUNT, np.inf)
-    p[GROWTH] = _START_GROWTH * radius
-    p[RADIUS] = _START_RADIUS * radius
+    starts[:, GROWTH] = _STARTS[:, :2] * radius
+    starts[:, RADIUS] = _STARTS[:, 2:] * radius
     slope = np.abs(lenses.rings.table[:, 1]).max()
-    p[LOG_BLUR] = math.log(
+    starts[:, LOG_BLUR] = math.log(
         max(lenses.core / max(slope * math.sqrt(2 * math.pi), 1e-9), 2 * _LEAST_BLUR)
     )
-    p[SHADING] = _START_SHADING
-    p[GAP] = min(max(float(lenses.profile.min() / max(lenses.profile[0], 1e-9)), 0.0), 0.5)
-    p[CORRELATION] = _START_CORRELATION
+    starts[:, SHADING] = _START_SHADING
+    gap = float(lenses.profile.min() / max(lenses.profile[0], 1e-9))
+    starts[:, GAP] = min(max(gap, 0.0), 0.5)
+    starts[:, CORRELATION] = _START_CORRELATION
     spread[RADIUS] = _RADIUS_RANGE * radius
     for place, deviation in _DEVIATIONS:
         spread[place] = deviation
-    return p, spread
+    return starts, spread
 
 
 def _bounds(scale: float) -> tuple[Floats, Floats]:
@@ -457,7 +469,7 @@ def _minimise(
     best = p.copy()
     errors = np.zeros(COUNT)
     best[free] = solution.x
-    errors[free] = np.sqrt(np.diag(np.linalg.inv(solution.jac.T @ solution.jac)))
+    errors[free] = np.sqrt(np.diag(np.linalg.pinv(solution.jac.T @ solution.jac)))
     return best, compare(solution.x)[2], errors
 
 

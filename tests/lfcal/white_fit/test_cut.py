@@ -59,3 +59,24 @@ def test_no_cut_is_searched_for_in_overexposed_microimages(drawn):
     )
     # Most of the light is clipped: the profile does not fall from the middle to the rim.
     assert _error(lfcal.calibrate(truth.image(2.0)), truth) < 0.1 * truth.pitch
+
+
+def test_cut_of_one_pixel_in_the_corners_is_in_the_gain_map(drawn):
+    truth = drawn(
+        "hexagonal",
+        37.8,
+        8.5,
+        40.0,
+        8,
+        0.164,
+        ratio=1.104,
+        fill=0.886,
+        soft=0.36,
+        edges="ramp",
+        size=(1200, 900),
+    )
+    camera = lfcal.calibrate(truth.image(), kind="white")
+    light = truth.light()
+    lit = light > 0.05 * light.max()
+    ratio = (camera.gain() / light)[lit]
+    assert np.nanmax(ratio) < 2 * np.nanmedian(ratio)
