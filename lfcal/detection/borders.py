@@ -174,7 +174,7 @@ def find_line_periods(steps: Singles, most: float = np.inf) -> Iterator[Floats]:
             if family.contrast > _LEAST_CONTRAST:
                 families.append(family)
         if families:
-            found.append(max(families, key=lambda one: one.height).frequency)
+            found.append(max(families, key=lambda one: one.height * one.contrast).frequency)
         if len(found) == 2:
             yield reduce_basis(np.linalg.inv(np.array(found)).T)
             return

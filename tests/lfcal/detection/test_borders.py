@@ -1,8 +1,10 @@
 """Borders of microimages without gaps, on flats whose cells hold noise of their own."""
 
+import cv2
 import numpy as np
 import pytest
 
+import lfcal
 from lfcal.detection.borders import (
     LineProfile,
     find_line_periods,
@@ -10,6 +12,7 @@ from lfcal.detection.borders import (
 )
 from lfcal.detection.features import FlatFeatures
 from lfcal.detection.spectrum import is_same_lattice
+from lfcal.images.preprocessing import sqrt_luminance
 
 
 def elemental_images(basis, origin, size=(420, 360), seed=0):
@@ -39,6 +42,15 @@ def test_touching_cells_are_found_at_any_angle_to_a_third_of_a_pixel(degrees, si
     beside = (centres - fit.origin) @ np.linalg.inv(fit.basis)
     assert np.abs((beside - np.rint(beside)) @ fit.basis).max() < 0.3
     assert fit.half_difference < 0.5
+
+
+def test_lines_of_two_periods_at_once_are_less_clear_than_those_of_one(shared):
+    """Thin lines lie 63.80 px apart; steps at multiples of 8 px are blocks of JPEG."""
+    flat = lfcal.read_flat(shared("captures", "hard", "touching_cells.jpg"))
+    height, width = (length // 2 for length in flat.shape[:2])
+    half = cv2.resize(sqrt_luminance(flat), (width, height), interpolation=cv2.INTER_AREA)
+    (found,) = find_line_periods(FlatFeatures(half).steps)
+    assert np.abs(np.hypot(*found.T) - 31.90).max() < 0.01
 
 
 def test_contrast_tells_borders_from_multiples_fractions_and_shifts_of_their_period():
