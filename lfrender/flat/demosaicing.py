@@ -140,73 +140,57 @@ def _fill_green(begin, end, mosaic, even, out):
 
 
 @njit(fastmath=FAST, inline="always")
-def _interpolate_difference(flat, lens, colours, near, similar, wanted, guide, y, x, out):
-    """The colour `wanted` from the colour `guide`: that plus their mean difference at the pixels
-    around of that colour, weighted by distance and by similarity of the guide.
-    """
-    reach = len(near) - 1
+def _has_green_beside(lens, y, x):
+    """Whether all four neighbours of a red or blue pixel belong to its microimage."""
     own = lens[y, x]
-    left = x - reach
-    total = weights = np.float32(0.0)
-    for v in range(y - reach, y + reach + 1):
-        # Every second pixel of a row has a colour, or none.
-        first = left if colours[v & 1, left & 1] == wanted else left + 1
-        if colours[v & 1, first & 1] != wanted:
-            continue
-        for u in range(first, x + reach + 1, 2):
-            if _belongs(lens, own, v, u):
-                unlike = out[v, u, guide] - out[y, x, guide]
-                weight = near[abs(v - y)] * near[abs(u - x)] / (unlike * unlike + similar * similar)
-                total += weight * (np.float32(flat[v, u]) - out[v, u, guide])
-                weights += weight
-    if weights > 0:
-        total /= weights
-    return max(out[y, x, guide] + total, np.float32(0.0))
+    return (
+        _belongs(lens, own, y - 1, x)
+        and _belongs(lens, own, y + 1, x)
+        and _belongs(lens, own, y, x - 1)
+        and _belongs(lens, own, y, x + 1)
+    )
 
 
 @kernel(share=lambda mosaic, *_: len(mosaic.flat), fastmath=FAST)
-def _fill_colour(begin, end, mosaic, colour, out):
-    """Red or blue, guided by green."""
-    flat = mosaic.flat
-    lens = mosaic.lens
-    colours = mosaic.colours
-    near = mosaic.near
-    similar = mosaic.similar
-    width = flat.shape[1]
-    for y in range(begin, end):
-        for x in range(width):
-            if colours[y & 1, x & 1] == colour:
-                out[y, x, colour] = flat[y, x]
-            else:
-                out[y, x, colour] = _interpolate_difference(
-                    flat, lens, colours, near, similar, colour, 1, y, x, out
-                )
-
-
-@kernel(share=lambda mosaic, *_: len(mosaic.flat), fastmath=FAST)
-def _refill_rim(begin, end, mosaic, out):
-    """Green at the rim of a microimage, where a neighbour is missing: guided by the colour of the
-    pixel.
+def _fill_colour(begin, end, mosaic, wanted, out):
+    """Red or blue guided by green, or green at the rim of a microimage guided by the colour of the
+    pixel: the guide plus the mean difference at the pixels around of the `wanted` colour, weighted
+    by distance and by similarity of the guide.
     """
     flat = mosaic.flat
     lens = mosaic.lens
     colours = mosaic.colours
     near = mosaic.near
-    similar = mosaic.similar
-    width = flat.shape[1]
+    similar2 = mosaic.similar * mosaic.similar
+    reach = len(near) - 1
     for y in range(begin, end):
-        for x in range(width):
-            own = lens[y, x]
+        for x in range(flat.shape[1]):
             colour = colours[y & 1, x & 1]
-            if colour != 1 and not (
-                _belongs(lens, own, y - 1, x)
-                and _belongs(lens, own, y + 1, x)
-                and _belongs(lens, own, y, x - 1)
-                and _belongs(lens, own, y, x + 1)
-            ):
-                out[y, x, 1] = _interpolate_difference(
-                    flat, lens, colours, near, similar, 1, colour, y, x, out
-                )
+            if colour == wanted:
+                out[y, x, wanted] = flat[y, x]
+                continue
+            if wanted == 1 and _has_green_beside(lens, y, x):
+                continue
+            guide = np.int64(colour) if wanted == 1 else 1
+            own = lens[y, x]
+            here = out[y, x, guide]
+            left = x - reach
+            total = weights = np.float32(0.0)
+            for v in range(y - reach, y + reach + 1):
+                # Every second pixel of a row has a colour, or none.
+                first = left if colours[v & 1, left & 1] == wanted else left + 1
+                if colours[v & 1, first & 1] != wanted:
+                    continue
+                for u in range(first, x + reach + 1, 2):
+                    if _belongs(lens, own, v, u):
+                        unlike = out[v, u, guide] - here
+                        weight = near[abs(v - y)] * near[abs(u - x)]
+                        weight /= unlike * unlike + similar2
+                        total += weight * (np.float32(flat[v, u]) - out[v, u, guide])
+                        weights += weight
+            if weights > 0:
+                total /= weights
+            out[y, x, wanted] = max(here + total, np.float32(0.0))
 
 
 def demosaic(flat: NDArray, calibration: Calibration, corner: tuple[int, int] = (0, 0)) -> NDArray:
@@ -258,9 +242,8 @@ def demosaic(flat: NDArray, calibration: Calibration, corner: tuple[int, int] = 
     )
     out = np.empty((*pixels.shape, 3), np.float32)
     _fill_green(mosaic, np.float32(_EVEN * white), out)
-    for colour in (0, 2):
+    for colour in (0, 2, 1):
         _fill_colour(mosaic, colour, out)
-    _refill_rim(mosaic, out)
     if pixels.dtype.kind == "f":
         return out.astype(pixels.dtype, copy=False)
     return np.minimum(np.rint(out, out=out), white).astype(pixels.dtype)
