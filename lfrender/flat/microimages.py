@@ -92,19 +92,19 @@ def copy_box(pixels, stride, left, top, rows, wide, out, begin=0, step=1):
     """Copy every `step`-th row of a box from (left, top) on, one after the other, to `out` from
     `begin` on.
 
-    `pixels` are those of the flat in one line, `stride` its width. Places off the flat get
-    the value of some pixel.
+    `pixels` are those of the flat in one line, `stride` its width. Places off the flat get the
+    value of the nearest pixel.
     """
-    beyond = len(pixels) - wide
+    height = len(pixels) // stride
     for row in range(rows):
-        at = (top + row * step) * stride + left
+        at = min(max(top + row * step, 0), height - 1) * stride
         into = np.uint64(begin + row * wide)
-        if at < 0 or at > beyond:
+        if left < 0 or left + wide > stride:
             for k in range(wide):
-                out[into + np.uint64(k)] = pixels[min(max(at + k, 0), len(pixels) - 1)]
+                out[into + np.uint64(k)] = pixels[at + min(max(left + k, 0), stride - 1)]
         else:
             for k in range(np.uint64(wide)):
-                out[into + k] = pixels[np.uint64(at) + k]
+                out[into + k] = pixels[np.uint64(at + left) + k]
 
 
 @njit(fastmath=FAST, error_model="numpy", forceinline=True)

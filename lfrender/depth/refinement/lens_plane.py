@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import namedtuple
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -56,107 +57,99 @@ class LensFits:
 _Planes = namedtuple("_Planes", "sizes slants spreads")
 
 
-@njit(fastmath=FAST, error_model="numpy", forceinline=True)
-def _gather(lens, centres, pitch, neighbours, pairs, s, v, x, y):
-    """Fill `s, v, x, y` with the patch sizes, variances and places of the pairs of a lens; returns
-    their number.
+class _LensPairs(NamedTuple):
+    """What the pairs of each lens have measured, in float64: single precision would move a patch
+    size by up to 0.1 px where pairs nearly lie on a line.
     """
-    half = neighbours.shape[1] // 2
-    count = 0
-    for k in range(2 * half):
-        other = neighbours[lens, k]
-        if other < 0:
-            continue
-        row = np.int64(lens) if k < half else np.int64(other)
-        d, side = (k, 0) if k < half else (k - half, 1)
-        size = pairs.patch_size[row, d, side]
-        if np.isnan(size):
-            continue
-        # From the middle between both microimages to this one: half a patch, away from the
-        # neighbour.
-        step = np.float32(0.5) * size / pitch
-        s[count] = size
-        v[count] = pairs.variance[row, d, side]
-        x[count] = pairs.place[row, d, side, 0] - step * (centres[other, 0] - centres[lens, 0])
-        y[count] = pairs.place[row, d, side, 1] - step * (centres[other, 1] - centres[lens, 1])
-        count += 1
-    return count
+
+    patch_size: NDArray[np.float64]  # (n, k) [px], NaN where nothing was measured
+    variance: NDArray[np.float64]  # (n, k) [px^2]
+    place: NDArray[np.float64]  # (n, k, 2) [px] from the centre of the lens, order `x, y`
+
+
+def _gather_pairs(gray: GrayFlat, neighbours: Neighbours, pairs: PairFits) -> _LensPairs:
+    """The fits of each lens with all its neighbours, of both fits of a pair that from the start
+    value of the lens.
+    """
+
+    def of_lenses(values: NDArray[np.float32]) -> NDArray[np.float64]:
+        ahead = list(values[:, :, 0].swapaxes(0, 1))
+        for own, rows in zip(values.swapaxes(0, 1), neighbours.backward.T, strict=True):
+            ahead.append(own[:, 1].take(rows, 0))
+        return np.stack(ahead, 1, dtype=np.float64)
+
+    sizes = of_lenses(pairs.patch_size)
+    sizes[neighbours.all < 0] = np.nan
+    # From the middle between both microimages to this one: half a patch, away from the neighbour.
+    apart = gray.centres.take(neighbours.all, 0) - gray.centres[:, None]
+    place = of_lenses(pairs.place) - (0.5 / gray.pitch) * sizes[:, :, None] * apart
+    return _LensPairs(sizes, of_lenses(pairs.variance), place)
 
 
 @njit(fastmath=FAST, error_model="numpy", forceinline=True)
-def _fit_plane(count, s, v, x, y, z, gx, gy, known, rounds):
-    """Plane through the pairs by IRLS with the weights of Geman and McClure, with a prior slant
-    (gx, gy).
+def _fit_plane(sizes, variances, places, start, prior, rounds):
+    """Plane through the pairs of a lens by IRLS with the weights of Geman and McClure, from a
+    patch size and with a `prior` (3,): slant, and its inverse variance.
 
-    `known` is the inverse variance of that slant, which the last two `rounds` know. Returns the
-    plane, chi square, and the sum of the weights.
+    The last two `rounds` know that slant. Returns the plane, with slopes relative to the prior, chi
+    square, and the sum of the weights.
     """
     # Three standard deviations; what is twice as far off is another surface.
     outlier2 = 9.0
-    plane = Plane(z, gx, gy, 0.0, 0.0, 0.0)
+    slant_x, slant_y, known = prior
+    plane = Plane(start, 0.0, 0.0, 0.0, 0.0, 0.0)
     chi2 = weights = 0.0
     for turn in range(rounds):
         sums = no_points(0.0)
         chi2 = weights = 0.0
-        for k in range(count):
-            residual = s[k] - plane.height - plane.slope_x * x[k] - plane.slope_y * y[k]
-            limit = outlier2 * v[k]
+        for k in range(len(sizes)):
+            if np.isnan(sizes[k]):
+                continue
+            x = places[k, 0]
+            y = places[k, 1]
+            variance = variances[k]
+            value = sizes[k] - slant_x * x - slant_y * y
+            residual = value - plane.height - plane.slope_x * x - plane.slope_y * y
+            limit = outlier2 * variance
             if turn < rounds - 2:
-                limit += (x[k] * x[k] + y[k] * y[k]) / known
+                limit += (x * x + y * y) / known
             weight = geman_mcclure(residual * residual, limit)
-            chi2 += weight * residual * residual / v[k]
+            chi2 += weight * residual * residual / variance
             weights += weight
-            sums = add_point(sums, weight / v[k], x[k], y[k], s[k] - gx * x[k] - gy * y[k])
-        change = solve_plane(sums, known)
-        plane = Plane(
-            change.height,
-            gx + change.slope_x,
-            gy + change.slope_y,
-            change.height_variance,
-            change.slope_x_variance,
-            change.slope_y_variance,
-        )
+            sums = add_point(sums, weight / variance, x, y, value)
+        plane = solve_plane(sums, known)
     return plane, chi2, weights
 
 
-@kernel(fastmath=FAST, error_model="numpy", share=lambda centres, *_: len(centres))
-def _fit_planes(
-    begin, end, centres, pitch, neighbours, pairs: PairFits, start, prior, rounds, out: _Planes
-):
+@kernel(fastmath=FAST, error_model="numpy", share=lambda pairs, start, *_: len(start))
+def _fit_planes(begin, end, pairs: _LensPairs, start, prior, rounds, out: _Planes):
     """Fit a plane to the pairs of each lens, from `start` (n,) and with the `prior` (n, 3): slant,
     inverse variance.
     """
-    most = neighbours.shape[1]
-    sizes = out.sizes
-    slants = out.slants
-    spreads = out.spreads
-    s = np.empty(most)
-    v = np.empty(most)
-    x = np.empty(most)
-    y = np.empty(most)
+    patch_sizes, variances, places = pairs
+    sizes, slants, spreads = out
     for lens in range(begin, end):
-        count = (
-            _gather(lens, centres, pitch, neighbours, pairs, s, v, x, y)
-            if np.isfinite(start[lens])
-            else 0
-        )
-        if count == 0:
+        if np.isnan(start[lens]) or np.isnan(patch_sizes[lens]).all():
             sizes[lens] = np.nan
-            slants[lens, 0] = slants[lens, 1] = 0.0
-            spreads[lens, 0] = spreads[lens, 1] = np.inf
-            spreads[lens, 2] = spreads[lens, 3] = 0.0
+            slants[lens] = 0.0
+            spreads[lens, :2] = np.inf
+            spreads[lens, 2:] = 0.0
             continue
-        # Single precision would move a patch size by up to 0.1 px where pairs nearly lie on a line.
         slant_x = np.float64(prior[lens, 0])
         slant_y = np.float64(prior[lens, 1])
         known = np.float64(prior[lens, 2])
         plane, chi2, weights = _fit_plane(
-            count, s, v, x, y, np.float64(start[lens]), slant_x, slant_y, known, rounds
+            patch_sizes[lens],
+            variances[lens],
+            places[lens],
+            np.float64(start[lens]),
+            (slant_x, slant_y, known),
+            rounds,
         )
         slope_variance = 0.5 * (plane.slope_x_variance + plane.slope_y_variance)
         sizes[lens] = plane.height
-        slants[lens, 0] = plane.slope_x
-        slants[lens, 1] = plane.slope_y
+        slants[lens, 0] = slant_x + plane.slope_x
+        slants[lens, 1] = slant_y + plane.slope_y
         spreads[lens, 0] = plane.height_variance
         spreads[lens, 1] = slope_variance
         spreads[lens, 2] = chi2
@@ -166,19 +159,35 @@ def _fit_planes(
         spreads[lens, 3] = max(weights - 1 - 2 * own, 0.0)
 
 
-def _predict_slants(
-    planes: _Planes, alike: NDArray[np.bool_], neighbours: NDArray[np.int32], prior: NDArray
-) -> None:
+class _Surfaces(NamedTuple):
+    """Neighbours of each lens, and which of them are on its surface."""
+
+    rows: NDArray[np.int32]  # (k, n)
+    alike: NDArray[np.bool_]  # (k, n)
+
+    def sum(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
+        """(n, m) sum of `values` (n, m) over the neighbours on the surface of each lens."""
+        return np.asarray((self.alike[:, :, None] * values.take(self.rows, 0)).sum(0))
+
+
+def _find_surfaces(gray: GrayFlat, neighbours: Neighbours, planes: _Planes) -> _Surfaces:
+    rows = np.ascontiguousarray(neighbours.all.T)
+    sizes = planes.sizes
+    gap = np.float32(TOLERANCE * gray.pitch)
+    return _Surfaces(rows, (rows >= 0) & same_surface(sizes.take(rows), sizes, gap))
+
+
+def _predict_slants(planes: _Planes, surfaces: _Surfaces, prior: NDArray[np.float32]) -> None:
     """Fill `prior` with the mean slant of each lens and its neighbours on one surface, and its
     inverse variance, where there are two or more.
     """
     slants = planes.slants
     weight = 1 / planes.spreads[:, 1:2]
     terms = weight * np.column_stack([np.ones_like(weight), slants, np.square(slants).sum(1)])
-    count = 1 + alike.sum(1)
+    count = 1 + surfaces.alike.sum(0)
     some = count >= 3
     count = count[some]
-    sums = terms[some] + np.einsum("nk,nkt->nt", alike[some], terms[neighbours[some]])
+    sums = (terms + surfaces.sum(terms))[some]
     total = sums[:, 0]
     mean = sums[:, 1:3] / total[:, None]
     # Scatter about the mean beyond the errors of the slants is curvature of the surface.
@@ -189,18 +198,18 @@ def _predict_slants(
 
 
 def _standard_errors(
-    planes: _Planes, alike: NDArray[np.bool_], neighbours: NDArray[np.int32], pitch: float
-) -> NDArray[np.float32]:
-    """(n, 2) errors of patch sizes and slants, scaled by the scatter of the pairs of a lens and of
+    planes: _Planes, surfaces: _Surfaces, pitch: float
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """(n,) errors of patch sizes, and of slants, scaled by the scatter of the pairs of a lens and of
     its neighbours on one surface, and for what all pairs of a lens share by one and |s| over the
     pitch.
     """
     spreads = planes.spreads
-    scatter = spreads[:, 2:] + 0.5 * np.einsum("nk,nkt->nt", alike, spreads[neighbours, 2:])
-    chi2, freedom = scatter.T
-    factor = (1 + np.abs(planes.sizes) / pitch) * np.sqrt((chi2 + 1) / (freedom + 1))
-    errors = factor[:, None] * np.sqrt(spreads[:, :2])
-    return np.where(np.isnan(errors), np.inf, errors).astype(np.float32)
+    scatter = np.ascontiguousarray(spreads[:, 2:])
+    chi2, freedom = (scatter + np.float32(0.5) * surfaces.sum(scatter)).T
+    factor = (1 + np.abs(planes.sizes) / np.float32(pitch)) * np.sqrt((chi2 + 1) / (freedom + 1))
+    errors = np.where(np.isnan(factor), np.inf, factor) * np.sqrt(spreads[:, :2].T)
+    return errors[0], errors[1]
 
 
 def fit_lens_planes(
@@ -218,25 +227,18 @@ def fit_lens_planes(
     is NaN for lenses to leave out; slants are rarely steeper than `steepest` [px per px].
     """
     n = len(start)
-    pitch = np.float32(gray.pitch)
     float32 = np.float32
     planes = _Planes(np.empty(n, float32), np.empty((n, 2), float32), np.empty((n, 4), float32))
     prior = np.zeros((n, 3), float32)
     prior[:, 2] = 1 / steepest**2
-    measured = (gray.centres, pitch, neighbours.all, pairs)
-    _fit_planes(*measured, start.astype(float32), prior, 4, planes)
-    _predict_slants(planes, _find_alike(gray, neighbours, planes), neighbours.all, prior)
-    _fit_planes(*measured, planes.sizes.copy(), prior, 2, planes)
-    alike = _find_alike(gray, neighbours, planes)
-    errors, slant_errors = _standard_errors(planes, alike, neighbours.all, gray.pitch).T.copy()
+    measured = _gather_pairs(gray, neighbours, pairs)
+    _fit_planes(measured, start.astype(float32), prior, 4, planes)
+    _predict_slants(planes, _find_surfaces(gray, neighbours, planes), prior)
+    _fit_planes(measured, planes.sizes.copy(), prior, 2, planes)
+    errors, slant_errors = _standard_errors(
+        planes, _find_surfaces(gray, neighbours, planes), gray.pitch
+    )
     return LensFits(planes.sizes, errors, planes.slants, slant_errors)
-
-
-def _find_alike(gray: GrayFlat, neighbours: Neighbours, planes: _Planes) -> NDArray[np.bool_]:
-    """(n, k) bool: neighbours on the surface of each lens."""
-    rows = neighbours.all
-    gap = TOLERANCE * gray.pitch
-    return (rows >= 0) & same_surface(planes.sizes[rows], planes.sizes[:, None], gap)
 
 
 def fit_lenses(

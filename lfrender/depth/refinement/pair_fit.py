@@ -322,7 +322,7 @@ def _fit_pairs(
                 _store(none, lens, d, 1, sizes, variances, places)
                 continue
             if not ready:
-                cut_smoothed(pixels, shape, raster, corner, types, work)
+                cut_smoothed(pixels, shape[1], raster, corner, types, work)
                 if hidden.size > 0:
                     _hide(hidden, raster, corner, work)
                 box_step[:] = NO_STEP

@@ -114,10 +114,8 @@ def _bspline_weights(f):
 def pixel_raster(radius):
     """The raster of microimages of a radius [px]."""
     side = int(2 * radius) + 1
-    stride = side + SPLINE_MARGIN
-    resampled = (side + SPLINE_MARGIN) * (stride + SPLINE_MARGIN)
-    smoothed = (side + 2 * _BEYOND) ** 2
-    return Raster(side, stride, max(resampled, smoothed) + 2 * _WHOLE)
+    stride = side + 2 * _BEYOND
+    return Raster(side, stride, (stride + SPLINE_MARGIN) ** 2 + 2 * _WHOLE)
 
 
 @njit
@@ -143,50 +141,40 @@ def first_pixel(centre, radius, side, size):
 # Without fast math: sums whose order it is free to choose would have other bits where the kernel is
 # compiled than where it is loaded.
 @njit(error_model="numpy", forceinline=True)
-def cut_smoothed(pixels, shape, raster, corner, types, work):
+def cut_smoothed(pixels, width, raster, corner, types, work):
     """Cut out a microimage from pixel `corner` on, smoothed by (1, 4, 1) / 6 in both directions,
     with its slopes, and its Laplacian unless `types` is None.
     """
-    height, width = shape
-    across = raster.side + 2 * _BEYOND
-    half = np.float32(0.5)
-    one = np.uint64(1)
-    two = np.uint64(2)
+    stride = raster.stride
     box = work[_BOX]
     smooth = work[_LINES]
-    first = corner[0] - _BEYOND
-    for row in range(across):
-        at = min(max(corner[1] - _BEYOND + row, 0), height - 1) * width
-        into = np.uint64(row * across)
-        if first < 0 or first + across > width:
-            for k in range(across):
-                box[into + np.uint64(k)] = pixels[np.uint64(at + min(max(first + k, 0), width - 1))]
-        else:
-            for k in range(np.uint64(across)):
-                box[into + k] = pixels[np.uint64(at + first) + k]
-    line = np.uint64(across)
+    copy_box(pixels, width, corner[0] - _BEYOND, corner[1] - _BEYOND, stride, stride, box)
+    half = np.float32(0.5)
     four = np.float32(4.0)
     weight = np.float32(1 / 36)
-    for k in range(np.uint64(across * (across - 2))):
+    one = np.uint64(1)
+    two = np.uint64(2)
+    line = np.uint64(stride)
+    rows = stride * (raster.side + 2)
+    for k in range(np.uint64(rows)):
         smooth[k] = box[k] + four * box[k + line] + box[k + line + line]
     # Values between the end of one row and the beginning of the next are not used.
-    for k in range(np.uint64(across * (across - 2) - 2)):
+    for k in range(np.uint64(rows - 2)):
         box[k] = weight * (smooth[k] + four * smooth[k + one] + smooth[k + two])
-    for row in range(raster.side):
-        middle = np.uint64((row + 1) * across + 1)
-        into = np.uint64(row * raster.stride)
-        # Each loop writes one row: the compiler checks few arrays for being others.
-        for k in range(np.uint64(raster.side)):
-            work[LIGHT, into + k] = box[middle + k]
-        for k in range(np.uint64(raster.side)):
-            work[SLOPE_X, into + k] = half * (box[middle + one + k] - box[middle - one + k])
-        for k in range(np.uint64(raster.side)):
-            work[SLOPE_Y, into + k] = half * (box[middle + line + k] - box[middle - line + k])
-        for k in range(np.uint64(raster.side) if types is not None else np.uint64(0)):
-            beside = (box[middle + one + k] + box[middle - one + k]) + (
-                box[middle + line + k] + box[middle - line + k]
-            )
-            work[LAPLACIAN, into + k] = beside - four * box[middle + k]
+    middle = line + one
+    count = np.uint64(raster.side * stride)
+    # Each loop writes one row: the compiler checks few arrays for being others.
+    for k in range(count):
+        work[LIGHT, k] = box[middle + k]
+    for k in range(count):
+        work[SLOPE_X, k] = half * (box[middle + one + k] - box[middle - one + k])
+    for k in range(count):
+        work[SLOPE_Y, k] = half * (box[middle + line + k] - box[middle - line + k])
+    if types is not None:
+        for k in range(count):
+            beside = box[middle + one + k] + box[middle - one + k]
+            beside += box[middle + line + k] + box[middle - line + k]
+            work[LAPLACIAN, k] = beside - four * box[middle + k]
 
 
 @njit(fastmath=FAST, error_model="numpy", forceinline=True)
