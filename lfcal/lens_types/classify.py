@@ -20,7 +20,7 @@ from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops
 from ..runtime.arrays import Booleans, Floats, Integers, Singles
 from .coarse_disparity import estimate_coarse_disparity
-from .focus_order import MIN_SPREAD, find_focus_order
+from .focus_order import find_focus_order
 from .lens_sample import (
     LensFeatures,
     LensSample,
@@ -41,12 +41,9 @@ _NOISE = 12
 _DETAIL = 3
 # If the power of the gradients over that of a mosaic is larger, the scene itself repeats.
 _REPEATING = 0.3
-# Correlation of a pattern in two halves of the sample.
-_SAME = 0.7
-# Least differences between types: of the light beyond rims, before them and in the middle, and of
-# the logarithm of sharpness; where lattice and pixels beat, of both that beats change.
+# Least differences between types: of the light beyond rims and in the middle, and of the logarithm
+# of sharpness; where lattice and pixels beat, of both that beats change.
 _OUTER_LIGHT = 0.012
-_INNER_LOSS = 0.015
 _LEVEL = 0.004
 _SHARPNESS = 0.04
 _WITH_BEATS = 0.07
@@ -90,12 +87,7 @@ def find_lens_types(
     sharpness = sample.subtract_neighbours(features.sharpness)
     if np.isfinite(sharpness).sum() < _FEWEST_LENSES:
         return None
-    disparity = (
-        np.full(len(sharpness), np.nan)
-        if white
-        else estimate_coarse_disparity(crops.picture, sample)
-    )
-    strength = _strengths(sample, features, disparity, white, others)
+    strength = _strengths(sample, features, white, others)
     twos = np.array([period == 2 for period, *_ in _MOSAICS])
     # Two patterns of pairs at once are four types.
     four = np.count_nonzero(strength[twos]) > 1
@@ -108,6 +100,9 @@ def find_lens_types(
     i, j = np.mgrid[0:period, 0:period]
     pairs = period == 2 and four
     cell = i * period + j if pairs else (p * i + q * j) % period
+    disparity = np.full(len(sharpness), np.nan)
+    if not white:
+        disparity = estimate_coarse_disparity(crops.picture, sample)
     inner_loss = sample.subtract_neighbours(features.inner_loss)
     beats = _beats(_VECTORS[[strongest]], lattice)[0]
     outer_light = inner_loss
@@ -130,23 +125,16 @@ class _Feature(NamedTuple):
 
     values: Floats  # (n,) less that of the neighbours, 0 where it is not known
     least: Floats  # (mosaics,) difference between types below which it does not count
-    usable: Booleans  # (mosaics,) whether it can show a mosaic
 
 
-def _strengths(
-    sample: LensSample,
-    features: LensFeatures,
-    disparity: Floats,
-    white: bool,
-    others: Floats,
-) -> Floats:
+def _strengths(sample: LensSample, features: LensFeatures, white: bool, others: Floats) -> Floats:
     """Power (mosaics,) of each mosaic over that of the strongest other pattern.
 
     It is 0 for mosaics that are not significant.
     """
     vectors = np.vstack([_VECTORS, others])
     waves = _waves(sample.inner, vectors) / _gain(vectors, sample.lattice)
-    found = _list_features(sample, features, disparity, white)
+    found = _list_features(sample, features, white)
     count = len(_MOSAICS)
     # (f, v) 1 on average for noise.
     power = _power(np.array([feature.values for feature in found]), waves)
@@ -155,10 +143,11 @@ def _strengths(
     scene = np.zeros(count) if white else _power(gradient, waves[:, :count]).max(0)
     strength = np.zeros(count)
     for mosaic in range(count):
+        # Twice the amplitude of a wave is about the spread of the types.
         sound = [
             k
-            for k, one in enumerate(found)
-            if one.usable[mosaic] and _repeats(one.values, waves[:, mosaic], one.least[mosaic])
+            for k, (values, least) in enumerate(found)
+            if 2 * abs(values @ waves[:, mosaic]) >= least[mosaic] * (values != 0).sum()
         ]
         ratios = []
         # Each feature by itself, and all together: on a small flat one alone may be too weak.
@@ -175,45 +164,16 @@ def _strengths(
     return strength
 
 
-def _list_features(
-    sample: LensSample, features: LensFeatures, disparity: Floats, white: bool
-) -> list[_Feature]:
+def _list_features(sample: LensSample, features: LensFeatures, white: bool) -> list[_Feature]:
+    # Where lattice and pixels beat, the pixel grid cuts edges differently.
     beats = _beats(_VECTORS, sample.lattice)
-    # Two colours of a mosaic, or pixels that fall on edges in two ways, look like two types.
-    regular = np.any([_beats(_VECTORS, sample.lattice, step, 2.0) for step in (1.0, 0.5)], axis=0)
-    sound = ~(regular & [period == 2 for period, _, _ in _MOSAICS])
-    # Where lattice and pixels beat, the pixel grid cuts edges differently: only their inner side
-    # can be used; on white images it can in any case, where it shows radii that differ, and no
-    # scene.
-    everywhere = np.ones(len(beats))
     outer_light = _differences(sample, features.outer_light)
-    inner_loss = _differences(sample, features.inner_loss)
-    found = [
-        _Feature(outer_light, np.where(beats, _WITH_BEATS, _OUTER_LIGHT), sound),
-        _Feature(inner_loss, _INNER_LOSS * everywhere, (beats | white) & sound),
-    ]
+    found = [_Feature(outer_light, np.where(beats, _WITH_BEATS, _OUTER_LIGHT))]
     if white:
         level = _differences(sample, features.level)
-        return [*found, _Feature(level, _LEVEL * everywhere, sound)]
+        return [*found, _Feature(level, np.full(len(beats), _LEVEL))]
     sharpness = _differences(sample, features.sharpness)
-    least = np.where(beats, _WITH_BEATS, _SHARPNESS)
-    found.append(_Feature(sharpness, least, sound))
-    spread = np.nanstd(disparity) if np.isfinite(disparity).sum() >= _FEWEST_LENSES else 0.0
-    if spread > MIN_SPREAD:
-        # Which type is sharper changes with depth, and may cancel over a whole flat.
-        depth = np.clip(np.nan_to_num((disparity - np.nanmean(disparity)) / spread), -2, 2)
-        found.append(_Feature(sharpness * depth, least, sound))
-    return found
-
-
-def _repeats(values: Floats, wave: NDArray[np.complex128], least: float) -> bool:
-    """Whether a mosaic is strong enough in a feature, and alike in both halves of the sample."""
-    half = np.arange(len(values)) * 16 // len(values) % 2 == 0
-    first = complex(values[half] @ wave[half])
-    second = complex(values[~half] @ wave[~half])
-    # Twice the amplitude of a wave is about the spread of the types.
-    strong = 2 * abs(first + second) >= least * int((values != 0).sum())
-    return strong and (first * second.conjugate()).real > _SAME * abs(first) * abs(second)
+    return [*found, _Feature(sharpness, np.where(beats, _WITH_BEATS, _SHARPNESS))]
 
 
 def _differences(sample: LensSample, feature: Floats) -> Floats:
@@ -264,17 +224,11 @@ def _other_patterns(lattice: Lattice) -> Floats:
     return drawn[far & fine & ~_beats(drawn, lattice)][:_OTHERS]
 
 
-def _beats(
-    vectors: Floats, lattice: Lattice, step: float = 1.0, cycles: float = _CYCLES
-) -> Booleans:
-    """(v,) whether a pattern (v, 2) is a beat of the lattice with the pixels.
-
-    `step` is 1 period per pixel, or 1/2 for a 2 x 2 colour mosaic; `cycles` is how many times
-    they may get out of step over the flat.
-    """
-    m, n = np.mgrid[-2:3, -2:3].reshape(2, -1) * step
+def _beats(vectors: Floats, lattice: Lattice) -> Booleans:
+    """(v,) whether a pattern (v, 2) is a beat of the lattice with the pixels."""
+    m, n = np.mgrid[-2:3, -2:3].reshape(2, -1)
     grid = np.column_stack([m, n])[(m != 0) | (n != 0)]
-    limit = min(_BEAT, cycles / (min(lattice.image_size) / lattice.pitch))
+    limit = min(_BEAT, _CYCLES / (min(lattice.image_size) / lattice.pitch))
     near = _apart(vectors[:, None] - grid @ lattice.basis.T).max(-1) < limit
     return near.any(1)
 
