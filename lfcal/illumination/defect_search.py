@@ -73,10 +73,6 @@ def find_defects(picture: Singles, lattice: Lattice, lights: LensLights) -> tupl
             # it.
             differs &= small < -3
         rows, columns = np.nonzero(differs & ~bad)
-        if values is residual:
-            beside = _differs_from_pixels(picture, rows, columns)
-            rows = rows[beside]
-            columns = columns[beside]
         places = np.column_stack([columns, rows])
         for start in range(0, len(places), _PART):
             part = places[start : start + _PART]
@@ -176,15 +172,6 @@ def _compute_residuals(
     isolated = beyond + (residual - beyond) / np.sqrt(1 + tolerance * tolerance)
     isolated *= darker
     return residual, np.nan_to_num(clipped, copy=False), isolated
-
-
-def _differs_from_pixels(picture: Singles, rows: Integers, columns: Integers) -> Booleans:
-    """Which pixels are lighter or darker than seven of the eight beside them: not those of rims."""
-    steps = np.array([(y, x) for y in (0, 1, 2) for x in (0, 1, 2) if (x, y) != (1, 1)])
-    beside = np.pad(picture, 1, "edge")[rows[:, None] + steps[:, 0], columns[:, None] + steps[:, 1]]
-    beside.sort(axis=1)
-    own = picture[rows, columns]
-    return (own < beside[:, 1]) | (own > beside[:, 6])
 
 
 def _differs_from_lenses(values: Singles, places: Integers, lattice: Lattice) -> Booleans:

@@ -87,8 +87,8 @@ def test_dust_over_several_lenses_is_found():
     camera = lfcal.calibrate(np.rint(white * dust).astype(np.uint8), kind="white")
     found = np.zeros(white.shape, bool)
     found[camera.defects.pixels[:, 1], camera.defects.pixels[:, 0]] = True
-    assert found[(dust < 0.6) & (white > 100)].mean() > 0.7
-    assert found[dust > 0.995].mean() < 2e-4
+    assert found[(dust < 0.6) & (white > 100)].mean() > 0.9
+    assert found[dust > 0.995].mean() < 2.5e-4
 
 
 def test_white_images_of_others_have_no_false_defects(shared):
