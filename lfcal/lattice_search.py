@@ -68,7 +68,8 @@ class FittedLattice:
         halves = max(fit.half_difference, fit.displacement) / pitch
         far = fit.displacement > _FAR * pitch and start.evidence.probability > _LIKELY
         if far and isinstance(picture, np.ndarray):
-            moved = measure_lattice(picture, replace(fit.lattice, distortion=None))
+            straight = replace(fit.lattice, distortion=None)
+            moved = measure_lattice(picture, straight, start.evidence.stated_white)
             if moved.evidence.probability < 0.5:
                 halves = start.evidence.halves
                 fit = LatticeFit(
@@ -115,7 +116,7 @@ def find_lattice(
     lights = [equalise_mosaic(flat) if has_mosaic else luminance(flat) for flat in flats]
     if len(lights) > 1:
         lights = [lights[k] for k in select_contrasted(lights)]
-    candidates = _search(lights, has_mosaic, hint)
+    candidates = _search(lights, has_mosaic, hint, float(kind == "white"))
     fitted: list[FittedLattice] = []
     error: CalibrationError | None = None
     for start in islice(candidates, _MOST_FITTED):
@@ -155,14 +156,17 @@ def describe_doubt(candidates: list[Candidate], lattice: Lattice, evidence: Evid
 
 
 def _search(
-    lights: list[NDArray[np.float32]], has_mosaic: bool, hint: LatticeHint | None
+    lights: list[NDArray[np.float32]],
+    has_mosaic: bool,
+    hint: LatticeHint | None,
+    stated_white: float,
 ) -> list[Candidate]:
     """Candidates on the mean of the lights, and on each light if none is certain on the mean."""
     found: list[Candidate] = []
     error: CalibrationError | None = None
     for picture in _pictures(lights, has_mosaic):
         try:
-            found += find_candidates(picture, hint)
+            found += find_candidates(picture, hint, stated_white=stated_white)
         except CalibrationError as failure:
             error = error or failure
         if found and max(one.evidence.probability for one in found) > _LIKELY:

@@ -12,6 +12,8 @@ __all__ = ["LatticeFigures", "white_probability"]
 # unlike their neighbours have the weight that tells a capture of an unfocused camera from its white
 # image: simulated cameras leave it open.
 _WHITE_CONSTANT = -7.95
+# [ln] scatter of light inside microimages of white images without noise.
+_EVENLY_LIT = -4.6
 _WHITE_WEIGHTS = {"inside": -2.7, "detail": -3.94, "unlike": -15.0}
 
 
@@ -82,6 +84,8 @@ class LatticeFigures:
         Logarithm of the scatter of light from one microimage to the next.
     unlike : float
         Share of the microimages that differ from their neighbours by a tenth of the light or more.
+    stated_white : float
+        1 if the flat is stated to be a white image, else 0.
     """
 
     repeats: float
@@ -108,13 +112,17 @@ class LatticeFigures:
     detail: float = 0.0
     between: float = 0.0
     unlike: float = 0.0
+    stated_white: float = 0.0
 
     @property
     def white_probability(self) -> float:
         """Probability that the flat is a white image: lenses are evenly lit, and as bright as their
         neighbours.
+
+        What scatters light inside all lenses of a stated white image alike is noise.
         """
-        return white_probability(self.inside, self.detail, self.unlike)
+        inside = min(self.inside, _EVENLY_LIT) if self.stated_white else self.inside
+        return white_probability(inside, self.detail, self.unlike)
 
 
 def white_probability(inside: float, detail: float, unlike: float) -> float:

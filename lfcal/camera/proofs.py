@@ -155,7 +155,8 @@ def edges(figures: LatticeFigures) -> float:
     next to all points.
     """
     white = figures.white_probability * _RIMS(figures.circles)
-    return max(_FINE(figures.fine), white) * (1 - _INVERTED(-figures.inverted))
+    detailed = max(_FINE(figures.fine), white) * (1 - _INVERTED(-figures.inverted))
+    return max(detailed, white * figures.stated_white)
 
 
 def _unmatched_tones(figures: LatticeFigures) -> float:

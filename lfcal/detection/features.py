@@ -25,10 +25,13 @@ _STEP_WINDOW = 7.0
 class FlatFeatures:
     """Features of a picture (h, w), the square root of the luminance, each computed when it is
     first used.
+
+    `stated_white` is 1 if the flat is stated to be a white image, else 0.
     """
 
-    def __init__(self, picture: Singles) -> None:
+    def __init__(self, picture: Singles, stated_white: float = 0.0) -> None:
         self.picture = picture
+        self.stated_white = stated_white
         self._levelled: dict[int, tuple[Singles, Singles]] = {}
 
     @cached_property

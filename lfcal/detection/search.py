@@ -70,13 +70,16 @@ class Candidate:
 
 
 def find_candidates(
-    picture: Singles, hint: LatticeHint | None = None, thorough: bool = False
+    picture: Singles,
+    hint: LatticeHint | None = None,
+    thorough: bool = False,
+    stated_white: float = 0.0,
 ) -> list[Candidate]:
     """Lattices that may be on a picture (h, w), the square root of the luminance, the most probable
     first.
 
     A certain one ends the search; a `thorough` one measures all periods and centres, at the full
-    size.
+    size. `stated_white` is 1 if the flat is stated to be a white image, else 0.
 
     Raises
     ------
@@ -91,7 +94,7 @@ def find_candidates(
         half: Any = cv2.resize(
             picture[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA
         )
-        small = _search(FlatFeatures(half), hint and hint.scaled(2), least=_HALVED)
+        small = _search(FlatFeatures(half, stated_white), hint and hint.scaled(2), least=_HALVED)
         if small:
             most = 2 * _CLEAR
         size = picture.shape[1], picture.shape[0]
@@ -101,7 +104,7 @@ def find_candidates(
             if one.lattice.pitch >= _HALVED
         ]
     if not any(one.evidence.is_certain or _is_clear(one) for one in found):
-        found += _search(FlatFeatures(picture), hint, thorough, most=most)
+        found += _search(FlatFeatures(picture, stated_white), hint, thorough, most=most)
     if found:
         return sorted(found, key=lambda one: -one.evidence.rank)
     if hint is not None:
@@ -139,13 +142,13 @@ def measure_basis(picture: Singles, lattice: Lattice) -> list[Candidate]:
     return sorted(found, key=lambda one: -one.evidence.rank)
 
 
-def measure_lattice(picture: Singles, lattice: Lattice) -> Candidate:
+def measure_lattice(picture: Singles, lattice: Lattice, stated_white: float = 0.0) -> Candidate:
     """A straight lattice as a candidate on a picture (h, w): the evidence at its own centres.
 
     CalibrationError if the picture is one even grey.
     """
     _check_contrast(picture)
-    features = FlatFeatures(picture)
+    features = FlatFeatures(picture, stated_white)
     maps = CellMaps.measure(features, lattice.basis)
     centre = lattice.origin @ np.linalg.inv(lattice.basis) % 1
     rough = _CentreFigures.of(features, lattice.basis).measure(maps, centre)
@@ -337,7 +340,12 @@ def _complete(rough: Candidate, fitted: Lattice, half_difference: float) -> Cand
     """The candidate at its fitted lattice, with the figures that follow from there."""
     classes = measure_classes(rough.features, fitted.basis)
     halves = half_difference / fitted.pitch
-    evidence = replace(rough.evidence, halves=halves, classes=classes.share)
+    evidence = replace(
+        rough.evidence,
+        halves=halves,
+        classes=classes.share,
+        stated_white=rough.features.stated_white,
+    )
     coarser = None if is_one_lens(evidence) > 0.5 else reduce_basis(classes.basis)
     picture = rough.features.picture
     if np.isfinite(halves):

@@ -163,7 +163,7 @@ def _find_in_piece(
             continue
         picture = picture / np.float32(mean)
         try:
-            start = find_candidates(picture)[0]
+            start = find_candidates(picture, stated_white=float(sure))[0]
         except CalibrationError:
             continue
         own = start.lattice

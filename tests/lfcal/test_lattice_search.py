@@ -46,3 +46,21 @@ def test_noisy_white_image_of_small_blurred_lenses_is_found(whites):
     assert camera.confidence > 0.9
     assert abs(camera.lattice.pitch - 10.0) < 0.01
     assert np.linalg.norm(away) < 0.1
+
+
+def test_noisy_white_image_without_detail_is_found_if_its_kind_is_stated(whites):
+    basis = whites.turned(whites.SQUARE, 15.93, -4.5)
+    image, _ = whites.white_image(
+        basis, (446, 350), fill=0.64, soft=7.15, gap=0.254, noise=0.143, seed=22
+    )
+    with pytest.raises(lfcal.CalibrationError):
+        lfcal.calibrate(image)
+    camera = lfcal.calibrate(image, kind="white")
+    assert camera.confidence > 0.9
+    assert abs(camera.lattice.pitch - 15.93) < 0.01
+
+
+def test_print_that_is_stated_to_be_a_white_image_is_refused():
+    """Its dots scatter light in some cells far more than in others, as no noise does."""
+    with pytest.raises(lfcal.CalibrationError):
+        lfcal.calibrate(draw_no_flat(7520)[1], kind="white")

@@ -91,3 +91,12 @@ def test_without_a_proof_the_words_are_those_of_the_doubt(house_white_camera):
     evidence = house_white_camera.evidence
     blank = replace(evidence, shape=0.2, circles=0.0, parallax=0.0)
     assert blank.describe() == blank.describe_doubt()
+
+
+def test_noise_of_a_stated_white_image_hides_no_more_than_its_detail(house_white_camera):
+    noisy = replace(house_white_camera.evidence, fine=0.036, inverted=-0.92, inside=-2.9)
+    assert noisy.probability < 0.5
+    assert replace(noisy, stated_white=1.0).probability > 0.9
+    # Scenes and dots of print scatter light in some cells more than in others.
+    assert replace(noisy, stated_white=1.0, detail=1.7).probability < 0.5
+    assert replace(noisy, stated_white=1.0, circles=0.5).probability < 0.5

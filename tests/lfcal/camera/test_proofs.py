@@ -99,7 +99,8 @@ def test_one_picture_behind_a_mesh_is_an_objection():
 def test_terms_of_any_figures_are_shares():
     rng = np.random.default_rng(0)
     names = [field.name for field in fields(LatticeFigures) if field.name != "fit_halves"]
-    for _ in range(500):
+    for stated in range(500):
         figures = LatticeFigures(**{name: float(rng.uniform(-5, 3)) for name in names})
+        figures = replace(figures, stated_white=float(stated % 2))
         for name, term in proofs.proof_terms(figures).items():
             assert 0 <= term <= 1, name
