@@ -28,22 +28,19 @@ __all__ = ["LARGEST_SHADING", "remove_shading"]
 LARGEST_SHADING = 0.02
 
 
-@kernel(error_model="numpy", fastmath=FAST, share=lambda _, centres, *__: len(centres))
-def _subtract_shading(
-    begin, end, image, centres, wanted, near, weights, contrast, radius, strips, out
-):
-    """Subtract the common pattern from the `wanted` lenses; `near` (n, k) are rows of the lenses
-    that share theirs.
+@kernel(error_model="numpy", fastmath=FAST, share=lambda centres, *_: len(centres))
+def _subtract_shading(begin, end, centres, wanted, near, weights, contrast, radius, strips, out):
+    """Subtract the common pattern from the `wanted` lenses in the image `out`; `near` (n, k) are
+    rows of the lenses that share theirs.
 
     `strips` are read in one part. They are laid over each other by whole pixels: shading is smooth.
     """
-    height, across = image.shape
+    height, across = out.shape
     values = strips.values
     middle = strips.middle
     whole = strips.whole
     half = strips.half
-    pixels = image.reshape(-1)
-    into = out.reshape(-1)
+    pixels = out.reshape(-1)
     width = strips.width
     size = np.uint64(width * width)
     shade = np.empty(size, np.float32)
@@ -92,7 +89,7 @@ def _subtract_shading(
             at = np.uint64((y - top) * width + first - left)
             place = np.uint64(y * across + first)
             for k in range(np.uint64(number)):
-                into[place + k] = pixels[place + k] - share * shade[at + k]
+                pixels[place + k] -= share * shade[at + k]
 
 
 def _steps_to_same_type(lattice: Lattice) -> NDArray[np.int64]:
@@ -129,20 +126,8 @@ def remove_shading(
     near = neighbours_of(lattice).rows(_steps_to_same_type(lattice))
     # The lenses to be read; for every step there is the opposite one.
     extract_strips(strips, gray, count_neighbours(wanted, near) > 0)
-    if others is None:
-        out = np.empty(gray.image.shape, np.float32)
-        np.copyto(out, gray.image)
-    else:
-        out = others.image
+    out = gray.image.copy() if others is None else others.image
     _subtract_shading(
-        gray.image,
-        gray.centres,
-        wanted,
-        near,
-        weights,
-        contrast,
-        np.float32(gray.radius),
-        strips,
-        out,
+        gray.centres, wanted, near, weights, contrast, np.float32(gray.radius), strips, out
     )
     return dataclasses.replace(gray, image=out)

@@ -174,7 +174,7 @@ class Renderer:
         depth = self._seen_surface.patch_size, self._seen_surface.grid(edge_step(lattice.pitch))
         shape = part[3] - part[1], part[2] - part[0]
         image = np.empty((*shape, pixels.shape[2]), np.float32)
-        output = Output(image, np.zeros(shape, bool))
+        output = Output(image, np.zeros(shape, bool), np.zeros(shape, bool))
         first = tuple((self.grid.first + self._moved).tolist())
         grid = Grid(first, self.grid.spacing, np.float32(self.scale), part[:2], _ALL)
         # Off the middle, rims often show a place alone; their last pixel mixes in light of the next
@@ -193,10 +193,9 @@ class Renderer:
         )
         flat = Flat(lit.unpacked, lit.shown, corner, lattice.image_size)
         if self._is_packable(pixels) and not self._is_coarse:
-            left = np.empty(shape, bool)
             packed = flat._replace(pixels=lit.packed)
-            blend_rows(packed, lit.light, lenses, *depth, grid, weighting, output, left)
-            grid = grid._replace(wanted=left)
+            blend_rows(packed, lit.light, lenses, *depth, grid, weighting, output)
+            grid = grid._replace(wanted=output.left)
         if not grid.wanted.size or grid.wanted.any():
             blend_pixels(flat, lit.light, lenses, *depth, grid, weighting, output)
         if self._aside and not output.valid.all():

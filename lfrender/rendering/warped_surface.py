@@ -5,8 +5,10 @@ occlusion.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
+from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from lfcal import Lattice
@@ -60,20 +62,10 @@ class Viewpoint:
             depths = virtual_depth(surface.patch_size, lattice.pitch)
             warped = np.empty_like(surface.patch_size)
             grid = Surface(surface.patch_size, (0.0, 0.0), surface.spacing).grid(edge)
-            nearest = depths.min()
-            farthest = depths.max()
-            _warp(
-                surface.patch_size,
-                grid,
-                np.array(self.offset, np.float32),
-                np.float32(self.still),
-                nearest,
-                farthest,
-                self._nearest_in_reach(depths, surface.spacing),
-                _least_size(lattice.pitch),
-                np.float32(lattice.pitch),
-                warped,
-            )
+            limits = *self.offset, self.still, depths.min(), depths.max(), lattice.pitch
+            rays = _Rays(*map(np.float32, limits))
+            bounds = self._nearest_in_reach(depths, surface.spacing)
+            _warp(surface.patch_size, grid, rays, bounds, warped)
         first = (surface.first[0] + moved[0], surface.first[1] + moved[1])
         return Surface(warped, first, surface.spacing), moved
 
@@ -104,6 +96,7 @@ class Viewpoint:
         return first
 
 
+@register_jitable
 def _least_size(pitch: float) -> np.float32:
     """Bound of `|s|` [px], since `D / s` has a pole at 0; no capture has smaller patches than D /
     12.
@@ -119,18 +112,28 @@ def virtual_depth(patch_size: NDArray[np.float32], pitch: float) -> NDArray[np.f
     return depth
 
 
+class _Rays(NamedTuple):
+    """Rays through the pixels of a view, from near to far, float32."""
+
+    view_x: Any  # [px] `q`
+    view_y: Any
+    still: Any  # virtual depth without parallax
+    nearest: Any  # virtual depth of the nearest and of the farthest surface
+    farthest: Any
+    pitch: Any  # [px]
+
+
 @kernel(error_model="numpy", fastmath=FAST, share=lambda surface, *_: len(surface))
-def _warp(begin, end, surface, grid, view, still, nearest, farthest, bounds, least, pitch, out):
+def _warp(begin, end, surface, grid, rays, bounds, out):
     """Follow the ray of every grid value of `out` (h, w) from near to far until it meets the
     surface.
 
     Nothing on its way is nearer than `bounds` (h, w). At virtual depth `t`, the ray of pixel `Y`
-    passes over `Y - q (t
-    - still)`, relative to the first grid value.
+    passes over `Y - q (t - still)`, relative to the first grid value.
     """
+    view_x, view_y, still, nearest, farthest, pitch = rays
+    least = _least_size(pitch)
     columns = surface.shape[1]
-    view_x = view[0]
-    view_y = view[1]
     cell = grid.spacing
     aside = np.sqrt(view_x * view_x + view_y * view_y)
     zero = np.float32(0.0)

@@ -174,27 +174,16 @@ def _sum_products(work, overlap, offset, scale2, types, sums):
             blur2 += weight * blur * blur
             both2 += weight * blur * tone
             tone2 += weight * tone * tone
-    # Places in tuples are constants: the compiler leaves out sums that nobody reads.
-    sums[_RESIDUAL, _RESIDUAL] = of_residual[_RESIDUAL]
-    sums[_SLOPE, _RESIDUAL] = of_slope[_RESIDUAL]
-    sums[_SLOPE, _SLOPE] = of_slope[_SLOPE]
-    sums[_CONSTANT, _RESIDUAL] = of_constant[_RESIDUAL]
-    sums[_CONSTANT, _SLOPE] = of_constant[_SLOPE]
-    sums[_CONSTANT, _CONSTANT] = of_constant[_CONSTANT]
-    sums[_RAMP, _RESIDUAL] = of_ramp[_RESIDUAL]
-    sums[_RAMP, _SLOPE] = of_ramp[_SLOPE]
-    sums[_RAMP, _CONSTANT] = of_ramp[_CONSTANT]
-    sums[_RAMP, _RAMP] = of_ramp[_RAMP]
+    # The compiler unrolls these loops, and leaves out sums that nobody reads.
+    rows = (of_residual, of_slope, of_constant, of_ramp)
+    for i in range(len(rows)):
+        for j in range(i + 1):
+            sums[i, j] = rows[i][j]
     if types is not None:
-        sums[_BLUR, _RESIDUAL] = of_blur[_RESIDUAL]
-        sums[_BLUR, _SLOPE] = of_blur[_SLOPE]
-        sums[_BLUR, _CONSTANT] = of_blur[_CONSTANT]
-        sums[_BLUR, _RAMP] = of_blur[_RAMP]
+        for j in range(len(rows)):
+            sums[_BLUR, j] = of_blur[j]
+            sums[_TONE, j] = of_tone[j]
         sums[_BLUR, _BLUR] = blur2
-        sums[_TONE, _RESIDUAL] = of_tone[_RESIDUAL]
-        sums[_TONE, _SLOPE] = of_tone[_SLOPE]
-        sums[_TONE, _CONSTANT] = of_tone[_CONSTANT]
-        sums[_TONE, _RAMP] = of_tone[_RAMP]
         sums[_TONE, _BLUR] = both2
         sums[_TONE, _TONE] = tone2
     return place_x / of_slope[_SLOPE], place_y / of_slope[_SLOPE]
@@ -276,14 +265,6 @@ def _hide(hidden, raster, corner, work):
                 work[LIGHT, row * raster.stride + column] = _NO_LIGHT
 
 
-@njit(inline="always")
-def _store(fit, lens, d, k, sizes, variances, places):
-    sizes[lens, d, k] = fit.size
-    variances[lens, d, k] = fit.variance
-    places[lens, d, k, 0] = fit.x
-    places[lens, d, k, 1] = fit.y
-
-
 @kernel(error_model="numpy", share=lambda flat, centres, *_: len(centres))
 def _fit_pairs(
     begin, end, flat: _Flat, centres, types, rows, start, scale2, settings: _Settings, fits
@@ -318,8 +299,6 @@ def _fit_pairs(
         for d in range(rows.shape[1]):
             other = rows[lens, d]
             if other < 0 or (np.isnan(start[lens]) and np.isnan(start[other])):
-                _store(none, lens, d, 0, sizes, variances, places)
-                _store(none, lens, d, 1, sizes, variances, places)
                 continue
             if not ready:
                 cut_smoothed(pixels, shape[1], raster, corner, types, work)
@@ -345,7 +324,10 @@ def _fit_pairs(
                         types,
                         memory,
                     )
-                _store(fit, lens, d, k, sizes, variances, places)
+                sizes[lens, d, k] = fit.size
+                variances[lens, d, k] = fit.variance
+                places[lens, d, k, 0] = fit.x
+                places[lens, d, k, 1] = fit.y
 
 
 def fit_pairs(
@@ -391,7 +373,9 @@ def fit_pairs(
     )
     shape = (*rows.shape, 2)
     fits = PairFits(
-        np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty((*shape, 2), np.float32)
+        np.full(shape, np.nan, np.float32),
+        np.full(shape, np.inf, np.float32),
+        np.zeros((*shape, 2), np.float32),
     )
     scale2 = (scale * scale).astype(np.float32)
     flat = _Flat(np.ascontiguousarray(image), np.ascontiguousarray(hidden))

@@ -65,12 +65,11 @@ def _predict(count, near, slant_known):
 
 
 @kernel(error_model="numpy", share=lambda centres, *_: len(centres))
-def _smooth(
-    begin, end, centres, pitch, rows, sizes, errors, slants, slant_errors, wanted, trust, out
-):
-    """Combine the `wanted` lenses in `out` (n, 6), which holds the fits of all: sizes, errors,
+def _smooth(begin, end, centres, pitch, rows, fits, wanted, trust, out):
+    """Combine the `wanted` lenses in `out` (n, 6), which holds the `fits` of all: sizes, errors,
     slants x and y, their errors, and shares of inliers.
     """
+    sizes, errors, slants, slant_errors = fits
     # Three standard deviations are an outlier. No surface is even, and no slant better known, than
     # to 0.002 px per px.
     near = np.empty((6, rows.shape[1]))
@@ -161,10 +160,8 @@ def _smoothed(
     """Fits combined with the lenses `rows` (n, m) of each, weighted by `trust` (n,), and the mean
     weight (n,) of these.
     """
-    sizes, errors, slants, slant_errors = (
-        np.asarray(values, np.float32) for values in vars(fits).values()
-    )
-    out = np.column_stack([sizes, errors, slants, slant_errors, np.ones_like(sizes)])
-    _smooth(gray.centres, gray.pitch, rows, sizes, errors, slants, slant_errors, wanted, trust, out)
+    before = tuple(np.asarray(values, np.float32) for values in vars(fits).values())
+    out = np.column_stack([*before, np.ones_like(trust)])
+    _smooth(gray.centres, gray.pitch, rows, before, wanted, trust, out)
     size, error, slant_error, inliers = (out[:, k].copy() for k in (0, 1, 4, 5))
     return LensFits(size, error, out[:, 2:4].copy(), slant_error), inliers

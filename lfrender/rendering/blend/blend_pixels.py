@@ -16,6 +16,7 @@ from numba import njit
 from lfcal.runtime.kernels import kernel
 
 from ...data.surface import patch_size_at
+from ...depth.surface.scene_grid import lens_at
 from ...flat.lens_graph import nearest_index
 from .records import AT_EDGES, FARTHEST_SAMPLE, OCCLUDED, ONE_SAMPLE, RIM
 
@@ -127,6 +128,13 @@ def _place_of(reading, size, corner):
     )
 
 
+@njit(error_model="numpy", inline="always")
+def _is_hidden(shown, place, s, edge):
+    """Whether the pixel at a place shows another surface than `s`."""
+    at = place.y + (place.below >= 0.5), place.x + (place.right >= 0.5)
+    return abs(shown[at] - s) > 2 * edge
+
+
 @njit(error_model="numpy", forceinline=True)
 def _interpolate(line, across, down, place, gain, channels, value):
     """Write `gain` times the values of the flat at a place; values of the pixels to the right and
@@ -191,7 +199,7 @@ def blend_pixels(begin, end, flat, light, lenses, surface, depth, grid, weightin
     steps = lenses.steps
     shares = lenses.shares
     pitch = lenses.pitch
-    image, valid = output
+    image, valid, _ = output
     per_step = 1 / light_step
     wanted = grid.wanted
     view = weighting.viewpoint
@@ -239,29 +247,22 @@ def blend_pixels(begin, end, flat, light, lenses, surface, depth, grid, weightin
                 for o in range(len(offsets)):
                     if offsets[o] > farthest or found == _MOST:
                         break
-                    column = int(i) + steps[o, 0] - low[0]
-                    row = int(j) + steps[o, 1] - low[1]
-                    if column < 0 or row < 0 or column >= rows.shape[1] or row >= rows.shape[0]:
-                        continue
-                    lens = rows[row, column]
+                    lens = lens_at(rows, low, int(i) + steps[o, 0], int(j) + steps[o, 1])
                     if lens < 0:
                         continue
                     reading = _read_at(x, y, centres[lens, 0], centres[lens, 1], slope, view)
                     away2 = reading.away2
                     delta2 = reading.delta2
-                    if away2 > limit2 or delta2 > view[2] or (nearest_alone and away2 >= best):
-                        continue
-                    if not _is_on_flat(reading, size):
+                    is_seen = away2 <= limit2 and delta2 <= view[2] and _is_on_flat(reading, size)
+                    if not is_seen or (nearest_alone and away2 >= best):
                         continue
                     place = _place_of(reading, size, corner)
                     gain = gains[tables[lens], min(int(delta2 * per_step), gains.shape[1] - 1)]
                     weight = (RIM - max(away2 / limit2, delta2 / view[2])) / (gain * gain)
                     weight *= shares[types[lens], ratio]
-                    if edged[lens]:
-                        at = place.y + (place.below >= 0.5), place.x + (place.right >= 0.5)
-                        if abs(shown[at] - s) > 2 * depth.edge:
-                            weight *= OCCLUDED
-                            away2 += limit2
+                    if edged[lens] and _is_hidden(shown, place, s, depth.edge):
+                        weight *= OCCLUDED
+                        away2 += limit2
                     if away2 < best:
                         best = away2
                         best_at = found

@@ -94,6 +94,15 @@ class _Lens(NamedTuple):
     share: Any  # uint64: the weights of its type in `_Memory.band`
 
 
+class _Row(NamedTuple):
+    """A section of a row of the picture."""
+
+    column: Any  # int: first column in the picture
+    count: Any  # int: number of columns
+    y: Any  # float64 [px]: scene coordinate
+    reach: Any  # float64 [px]: lenses farther away are not read
+
+
 class _Reading(NamedTuple):
     """What all lenses of a picture are read by."""
 
@@ -358,10 +367,9 @@ def _read_pixels(u, size, line, stride, run, place, corners, values, into, sums)
 
 
 @njit(fastmath=FAST, error_model="numpy")
-def _read_lenses(memory, flat, light, lenses, edge, weighting, grid, column, count, y, reach):
-    """Add up the readings of all lenses within `reach` of a row of `count` columns; returns the
-    number of runs.
-    """
+def _read_lenses(memory, flat, light, lenses, edge, weighting, grid, row):
+    """Add up the readings of all lenses in reach of a row; returns the number of runs."""
+    column, count, y, reach = row
     band = memory.band
     run = memory.run
     place = memory.place
@@ -483,12 +491,13 @@ def _add_agreeing(memory, number, t2, per_channel):
 
 
 @kernel(error_model="numpy", share=lambda *given: len(given[7].image))
-def blend_rows(begin, end, flat, light, lenses, surface, depth, grid, weighting, output, left):
+def blend_rows(begin, end, flat, light, lenses, surface, depth, grid, weighting, output):
     """Draw as `blend_pixels`, from packed pixels (`pack_flat`); those that need several samples are
-    marked in `left`.
+    left to that kernel.
     """
     image = output.image
     valid = output.valid
+    left = output.left
     spacing = grid.spacing
     start = grid.start
     columns = image.shape[1]
@@ -515,9 +524,8 @@ def blend_rows(begin, end, flat, light, lenses, surface, depth, grid, weighting,
             memory.sums[:] = 0
             memory.totals[:] = 0
             memory.band[_NEAREST2:_SHARES] = np.inf
-            number = _read_lenses(
-                memory, flat, light, lenses, depth.edge, weighting, grid, column, count, y, reach
-            )
+            row = _Row(column, count, y, reach)
+            number = _read_lenses(memory, flat, light, lenses, depth.edge, weighting, grid, row)
             _normalise(memory.sums, count)
             if t2 > 0:
                 _add_agreeing(memory, number, t2, per_channel)

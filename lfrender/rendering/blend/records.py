@@ -115,6 +115,7 @@ class Output(NamedTuple):
 
     image: Any  # (h, w, C) float32
     valid: Any  # (h, w) bool: some lens shows the pixel
+    left: Any  # (h, w) bool: `blend_rows` leaves the pixel to `blend_pixels`
 
 
 def tabulate_lenses(calibration: Calibration, reach: float) -> tuple[Lenses, np.ndarray]:
