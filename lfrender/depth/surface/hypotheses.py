@@ -64,8 +64,8 @@ def _compare(own, other, half, floor):
 
 @njit(error_model="numpy", forceinline=True)
 def view_mismatch(image, near_x, near_y, count, x, y, slope, radius, floor, samples, costs):
-    """Mean mismatch of the better part of the views of scene point (x, y) with one of the most
-    central, and their number.
+    """Mean mismatch of the better part of the views of scene point (x, y) with the most central
+    one, and their number.
 
     0 for equal views, about 1 for unrelated ones, `_UNKNOWN` where there is one. The first `count`
     lenses have their centres at `near_x`, `near_y`, the nearest first; the depth is `slope` = s /
@@ -92,22 +92,14 @@ def view_mismatch(image, near_x, near_y, count, x, y, slope, radius, floor, samp
         return unknown, seen
     # Half of the others: an occluder may hide the rest.
     better = seen // 2
-    least = np.float32(np.inf)
-    # The first view may be occluded.
-    for r in range(2):
-        found = 0
-        for m in range(seen):
-            if m == r:
-                continue
-            cost = _compare(samples[r], samples[m], unknown * floor, floor)
-            at = found
-            while at > 0 and costs[at - 1] > cost:
-                costs[at] = costs[at - 1]
-                at -= 1
-            costs[at] = cost
-            found += 1
-        least = min(least, costs[:better].sum() / np.float32(better))
-    return least, seen
+    for m in range(1, seen):
+        cost = _compare(samples[0], samples[m], unknown * floor, floor)
+        at = m - 1
+        while at > 0 and costs[at - 1] > cost:
+            costs[at] = costs[at - 1]
+            at -= 1
+        costs[at] = cost
+    return costs[:better].sum() / np.float32(better), seen
 
 
 #: Hypotheses of one scene point, at most.
