@@ -20,7 +20,7 @@ from ..gain.gain_map import GainMap, fit_light
 from ..gain.kernel import relative_light
 from ..lattice.cell import Cell, is_outside_cell
 from ..lattice.lattice import Lattice
-from ..lattice.lens_subset import ReadCrop
+from ..lattice.lens_subset import ReadCrop, neighbour_rows
 from ..lattice.robust_fit import robust_sigma
 from ..microimage.lit import UNLIT, bright_light
 from ..runtime.arrays import Booleans, Floats, Integers, Singles, evenly
@@ -76,16 +76,13 @@ class LensLights:
 class LensMeasurements(NamedTuple):
     """Measurements of every lens (n,).
 
-    These are the light, the number of its pixels, their standard deviation, the mean and the
-    maximum of all pixels, the correlation with the shape of microimages, and the contrast of that
-    shape.
+    These are the light, the number of its pixels, their standard deviation, the correlation with
+    the shape of microimages, and the contrast of that shape.
     """
 
     light: Singles
     number: Singles
     scatter: Singles
-    mean: Singles
-    largest: Singles
     correlation: Singles
     contrast: Singles
 
@@ -94,7 +91,7 @@ class LensMeasurements(NamedTuple):
 def _measure_lenses(
     begin, end, picture, top, chosen, centres, lenses, cell, stride, shape, profile, out
 ):
-    """Write `LensMeasurements` of the `chosen` lenses into `out` (7, n).
+    """Write `LensMeasurements` of the `chosen` lenses into `out` (5, n).
 
     `picture` begins at row `top` of the flat.
     """
@@ -108,9 +105,7 @@ def _measure_lenses(
         lens[:] = lenses[n]
         cx = centres[n, 0]
         cy = centres[n, 1] - top
-        total = squares = inside = every = light = largest = shapes = shapes2 = product = light2 = (
-            0.0
-        )
+        total = squares = inside = every = light = shapes = shapes2 = product = light2 = 0.0
         for y in range(
             max(0, math.ceil(cy - reach)), min(height - 1, math.floor(cy + reach)) + 1, stride
         ):
@@ -127,7 +122,6 @@ def _measure_lenses(
                 v = picture[y, x] * picture[y, x]
                 every += 1
                 light += v
-                largest = max(largest, v)
                 s = relative_light(dx, dy, lens, profile, step, cut)[0]
                 shapes += s
                 shapes2 += s * s
@@ -138,15 +132,14 @@ def _measure_lenses(
                     total += v / s
                     squares += (v / s) * (v / s)
         if every > 0:
-            out[3, n], out[4, n] = light / every, largest
             # Nothing correlates with what hardly varies.
             spread = shapes2 / every - (shapes / every) ** 2
             own = light2 / every - (light / every) ** 2
             if spread > 1e-6 * (shapes / every) ** 2 and own > 1e-6 * (light / every) ** 2:
-                out[5, n] = (product / every - shapes * light / (every * every)) / math.sqrt(
+                out[3, n] = (product / every - shapes * light / (every * every)) / math.sqrt(
                     spread * own
                 )
-            out[6, n] = math.sqrt(max(spread, 0.0)) / max(shapes / every, 1e-9)
+            out[4, n] = math.sqrt(max(spread, 0.0)) / max(shapes / every, 1e-9)
         if inside > 0:
             mean = total / inside
             out[0, n], out[1, n], out[2, n] = (
@@ -256,11 +249,19 @@ def _shrink_lens_gain(
     return light.astype(np.float32)
 
 
-def find_unlit_in_scene(found: LensMeasurements, lattice: Lattice) -> Integers:
-    """Rows (m,) of the lenses of a scene that are dark while all their neighbours are lit."""
-    indices = lattice.indices()
-    low = indices.min(0) - 1
-    grid = np.full(indices.max(0) - low + 2, np.nan)
-    grid[tuple((indices - low).T)] = found.mean
-    beside = np.array([grid[tuple((indices - low + step).T)] for step in lattice.steps])
-    return np.flatnonzero(found.largest < _UNLIT * np.min(beside, axis=0))
+def find_unlit_in_scene(picture: Singles, lattice: Lattice) -> Integers:
+    """Rows (m,) of the lenses of a scene that are dark while all their neighbours are lit.
+
+    `picture` (h, w) is the square root of the luminance.
+    """
+    import cv2
+
+    # The square inside the circle inside a cell.
+    side = int(math.sqrt(2) * Cell.of(lattice).inradius)
+    light = picture * picture
+    x, y = np.rint(lattice.centres()).astype(np.int64).clip(0, np.array(lattice.image_size) - 1).T
+    mean = np.asarray(cv2.blur(light, (side, side)))[y, x]
+    largest = np.asarray(cv2.dilate(light, np.ones((side, side), np.uint8)))[y, x]
+    rows = neighbour_rows(lattice.indices(), lattice.steps)
+    beside = np.where(rows >= 0, mean[rows], np.inf).min(0)
+    return np.flatnonzero(largest < _UNLIT * beside)

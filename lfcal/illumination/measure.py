@@ -91,16 +91,16 @@ def measure_illumination(
             gain = fit_type_profiles(pixels, radius, gain, types, not white)
     if white:
         types, gain = order_by_rims(types, gain, radius)
-    described = gain.describe(lattice.field_place(lattice.centres()))
     source = picture if read_crop is None else read_crop
     assert not isinstance(source, StackedCrops)
-    seen = measure_lenses(source, lattice, gain, described)
     if white:
-        lights = fit_lens_lights(seen, lattice, gain)
+        described = gain.describe(lattice.field_place(lattice.centres()))
+        lights = fit_lens_lights(measure_lenses(source, lattice, gain, described), lattice, gain)
         gain = lights.gain
         unlit = lights.unlit
     else:
-        unlit = find_unlit_in_scene(seen, lattice)
+        assert isinstance(picture, np.ndarray)
+        unlit = find_unlit_in_scene(picture, lattice)
     gain = gain.limited(lattice)
     defects = Defects(lenses=lattice.indices()[unlit].astype(np.int32))
     share = 0.0

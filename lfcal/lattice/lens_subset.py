@@ -13,6 +13,7 @@ from .lattice import Lattice
 __all__ = [
     "ReadCrop",
     "StackedCrops",
+    "neighbour_rows",
     "sample_lenses",
     "sample_mask",
 ]
@@ -35,6 +36,18 @@ def sample_mask(number: int, share: float) -> Booleans:
     # Twenty times as fast as a remainder.
     fraction -= np.floor(fraction)
     return fraction < share
+
+
+def neighbour_rows(indices: Integers, steps: Integers) -> Integers:
+    """(k, n) row of the lens at each of the steps (k, 2) from each of the lenses (n, 2).
+
+    It is -1 where there is none among them.
+    """
+    reach = np.abs(steps).max(0)
+    low = indices.min(0) - reach
+    rows = np.full(indices.max(0) - low + reach + 1, -1)
+    rows[tuple((indices - low).T)] = np.arange(len(indices))
+    return np.array([rows[tuple((indices - low + step).T)] for step in steps])
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,6 @@ scene explains nearly as well are not excluded: the error reaches to the smalles
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
 from typing import Any, NamedTuple
@@ -23,6 +22,7 @@ from threadpoolctl import threadpool_limits
 from ..camera.calibration import Calibration
 from ..camera.lens_types import LensBlur
 from ..lattice.lattice import Lattice
+from ..lattice.lens_subset import neighbour_rows
 from ..runtime.light.transfer import disc_transfer
 
 __all__ = ["measure_lens_blur"]
@@ -72,8 +72,7 @@ _NARROWEST = 4
 _WIDEST = 12
 
 
-@dataclass(frozen=True)
-class _Pairs:
+class _Pairs(NamedTuple):
     """Lenses that show the same place, and where on the flat [px] each does."""
 
     size: _Array  # (n,) [px] patch size
@@ -82,13 +81,9 @@ class _Pairs:
     second: _Array  # (n, 2)
     apart: _Array  # (n, 2) from the centre of the first lens to that of the second
 
-    def __len__(self) -> int:
-        return len(self.size)
-
-    def __getitem__(self, some: NDArray[Any]) -> _Pairs:
-        return _Pairs(
-            self.size[some], self.kind[some], self.first[some], self.second[some], self.apart[some]
-        )
+    def select(self, some: NDArray[Any]) -> _Pairs:
+        """Some of the pairs."""
+        return _Pairs(*(values[some] for values in self))
 
 
 def _find_pairs(calibration: Calibration, patch_size: _Array) -> _Pairs:
@@ -105,19 +100,10 @@ def _find_pairs(calibration: Calibration, patch_size: _Array) -> _Pairs:
         own = types.of(cell)
         steps = np.array([step for step in steps if (types.of(cell + step) == own).all()])
     lengths = np.hypot(*(steps @ lattice.basis).T)
-    low = index.min(0) - 3
-    rows = np.full(index.max(0) - low + 4, -1)
-    rows[tuple((index - low).T)] = np.arange(len(index))
-    first = []
-    second = []
-    for step in steps[lengths < 1.05 * lengths.min()]:
-        other = rows[tuple((index + step - low).T)]
-        difference = np.abs(patch_size - patch_size[other])
-        alike = np.flatnonzero((other >= 0) & (difference < _ALIKE * lattice.pitch))
-        first.append(alike)
-        second.append(other[alike])
-    one = np.concatenate(first)
-    two = np.concatenate(second)
+    other = neighbour_rows(index, steps[lengths < 1.05 * lengths.min()])
+    near = np.abs(patch_size - patch_size[other]) < _ALIKE * lattice.pitch
+    step, one = np.nonzero((other >= 0) & near)
+    two = other[step, one]
     size = (patch_size[one] + patch_size[two]) / 2
     resolved = np.abs(size) > 1
     one = one[resolved]
@@ -150,13 +136,16 @@ def _parts_by_depth(pairs: _Pairs, pitch: float) -> Iterator[tuple[_Pairs, float
         for k in range(len(bounds) + 1):
             part = own[which == k]
             usual = len(part) * count / len(own)
-            yield pairs[part[:: max(1, round(len(part) * (len(bounds) + 1) / _MOST_PAIRS))]], usual
+            yield (
+                pairs.select(part[:: max(1, round(len(part) * (len(bounds) + 1) / _MOST_PAIRS))]),
+                usual,
+            )
 
 
 def _measure_spectrum(
     light: _Light, lattice: Lattice, radius: float, pairs: _Pairs
 ) -> _Spectrum | None:
-    if len(pairs) < _LEAST_PAIRS:
+    if len(pairs.size) < _LEAST_PAIRS:
         return None
     # The square windows lie half the shift between the two lenses from their centres.
     shift = float(np.median(np.hypot(*(pairs.second - pairs.first - pairs.apart).T)))
@@ -170,7 +159,7 @@ def _measure_spectrum(
     inside = np.flatnonzero(((corners >= 0) & (corners + side <= lattice.image_size)).all((0, 2)))
     if len(inside) < _LEAST_PAIRS:
         return None
-    pairs = pairs[inside]
+    pairs = pairs.select(inside)
     corners = corners[:, inside]
     window, _, rings = _analysis(side)
     transformed = []
@@ -183,10 +172,10 @@ def _measure_spectrum(
     turn_x = np.exp(2j * np.pi * np.fft.rfftfreq(side) * away[:, :1])
     turn_y = np.exp(2j * np.pi * np.fft.fftfreq(side) * away[:, 1:])
     crossed = transformed[1] * transformed[0].conj() * turn_x[:, None, :] * turn_y[:, :, None]
-    each = crossed.real.reshape(len(pairs), -1) @ rings
+    each = crossed.real.reshape(len(inside), -1) @ rings
     ratio = float(np.median(pairs.size)) / lattice.pitch
     return _Spectrum(
-        ratio, int(pairs.kind[0]), each.mean(0), each.std(0) / np.sqrt(len(pairs)), side
+        ratio, int(pairs.kind[0]), each.mean(0), each.std(0) / np.sqrt(len(inside)), side
     )
 
 
@@ -302,7 +291,7 @@ def measure_lens_blur(
     types = calibration.lens_types
     rims = calibration.lens_blur
     pairs = _find_pairs(calibration, np.asarray(patch_size, np.float64))
-    if len(pairs) < _LEAST_PAIRS:
+    if len(pairs.size) < _LEAST_PAIRS:
         return None
     apertures = pitch * np.geomspace(0.03, 1.0, 50)[:, None]
     foci = np.linspace(-0.8, 0.8, 81)

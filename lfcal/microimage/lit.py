@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..lattice.lattice import Lattice, reduce_basis
+from ..lattice.lens_subset import neighbour_rows
 from ..runtime.arrays import ENOUGH_LENSES, Array, Booleans, Floats, Integers, Singles, evenly
 
 __all__ = ["STRAY", "UNLIT", "bright_light", "find_lit_lenses", "is_lit"]
@@ -61,15 +62,9 @@ def find_lit_lenses(
     step = core - mean_at(_cell_corners(lattice))
     has_gaps = bright_light(step) > 0.3 * bright_light(core)
     unlit = ~is_lit(step if has_gaps else core, dark)
-    if not unlit.any():
-        return ~unlit
-    low = indices.min(0) - 1
-    grid = np.zeros(indices.max(0) - low + 2, dtype=bool)
-    grid[tuple((indices[unlit] - low).T)] = True
-    beside = unlit.copy()
-    for neighbour in lattice.steps:
-        beside |= grid[tuple((indices - low + neighbour).T)]
-    return ~beside
+    rows = neighbour_rows(indices, lattice.steps)
+    beside = (unlit[rows] & (rows >= 0)).any(0)
+    return ~(unlit | beside)
 
 
 def _cell_corners(lattice: Lattice) -> Floats:

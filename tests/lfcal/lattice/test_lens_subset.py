@@ -9,8 +9,15 @@ from lfcal.lattice.distortion import Distortion
 from lfcal.lattice.lattice import Lattice
 from lfcal.lattice.lens_subset import (
     StackedCrops,
+    neighbour_rows,
     sample_lenses,
 )
+
+
+def test_neighbours_of_lenses_are_those_a_step_away():
+    indices = np.array([[4, -2], [5, -2], [4, -1], [9, 9]])
+    rows = neighbour_rows(indices, np.array([[1, 0], [0, -1], [-1, 1]]))
+    np.testing.assert_array_equal(rows, [[1, -1, -1, -1], [-1, -1, 0, -1], [-1, 2, -1, -1]])
 
 
 @pytest.mark.parametrize("size", [(400, 300), (2400, 1800)])
