@@ -145,7 +145,7 @@ def _select_rims(residuals: Residuals, gain: GainMap) -> tuple[Booleans, Array]:
     """Pixels (q,) of rims, and how their light falls towards the outside there, over the radius."""
     r = residuals
     slope = np.gradient(gain.profile, gain.step)
-    far = np.hypot(r.sample.x, r.sample.y) / gain.radius
+    far = r.sample.pixels.distance() / gain.radius
     steep = r.places.read(slope) * r.through * r.plane * far
     return np.abs(steep) > _LEAST, steep
 
@@ -161,13 +161,12 @@ def _fit_rim(
     whole field is in the profile. Of scenes, whose content leaks into them, none changes.
     """
     sample = residuals.sample
+    lens, x, y, _ = sample.pixels
     directions = _DIRECTIONS
     harmonics = _HARMONICS
     # Sums over the pixels of the rims in each direction of each window: how far they should move.
-    bins = np.floor(
-        np.arctan2(sample.y[rims], sample.x[rims]) / (2 * np.pi) * directions + 0.5
-    ).astype(np.int64)
-    bins = bins % directions + directions * sample.window[sample.lens[rims]]
+    bins = np.floor(np.arctan2(y[rims], x[rims]) / (2 * np.pi) * directions + 0.5).astype(np.int64)
+    bins = bins % directions + directions * sample.window[lens[rims]]
     size = sample.windows * directions
     steep = steep[rims]
     weight: Array = np.bincount(bins, residuals.weight[rims] * steep**2, size)
@@ -211,10 +210,10 @@ def _fit_cut(residuals: Residuals, gain: GainMap) -> Array:
     """One Gauss-Newton step of the cutting disc: shift (2), growth, radius and softness."""
     on_edge = np.abs(residuals.through - 0.5) < 0.5 - _EDGE
     own = residuals.select(np.flatnonzero(on_edge))
-    sample = own.sample
-    field = sample.field[sample.lens]
+    lens, x, y, _ = own.sample.pixels
+    field = own.sample.field[lens]
     cut = gain.cut
-    offset = np.stack([sample.x, sample.y], axis=1) - cut[:2] - cut[2] * field
+    offset = np.stack([x, y], axis=1) - cut[:2] - cut[2] * field
     far = np.hypot(*offset.T)
     depth = (cut[3] - far) / cut[4]
     density = np.exp(-0.5 * depth**2) / (math.sqrt(2 * math.pi) * cut[4])
@@ -238,11 +237,12 @@ def _fit_shading(residuals: Residuals, gain: GainMap, rims: Booleans) -> Array:
     inside = ~rims & (residuals.light > _SHADED[0]) & (residuals.through > _SHADED[1])
     own = residuals.select(np.flatnonzero(inside))
     sample = own.sample
-    u = sample.x / gain.radius
-    v = sample.y / gain.radius
+    lens, x, y, _ = sample.pixels
+    u = x / gain.radius
+    v = y / gain.radius
     rows = own.light[:, None] * np.column_stack([u, v, u * u, u * v, v * v, np.ones_like(u)])
     windows = sample.windows
-    window = sample.window[sample.lens]
+    window = sample.window[lens]
     terms = next((count_terms(d) for d in (3, 1) if windows > 2 * count_terms(d)), 1)
     field = sample.window_terms
     shading = np.zeros((5, terms))

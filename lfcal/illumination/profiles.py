@@ -70,11 +70,11 @@ class ProfilePixels(NamedTuple):
         """
         _, stretched, through = sample.evaluate(gain)
         lit = through >= 0.5
-        clipped = (sample.value >= sample.clipping) & lit
+        clipped = (sample.pixels.value >= sample.clipping) & lit
         whole = sample.add(clipped.astype(np.float64)) * CLIPPED_PIXELS <= sample.add(
             lit.astype(np.float64)
         )
-        chosen = np.flatnonzero(lit & whole[sample.lens])
+        chosen = np.flatnonzero(lit & whole[sample.pixels.lens])
         places = ProfilePlaces.of(stretched[chosen] / gain.step, len(gain.profile))
         return cls(sample.select(chosen), through[chosen], places)
 
@@ -90,10 +90,10 @@ class ProfilePixels(NamedTuple):
         sample = self.sample
         shape = sample.windows, int(types.max(initial=0)) + 1, len(gain.profile)
         size = math.prod(shape)
-        first = (shape[2] * (types + shape[1] * sample.window))[sample.lens]
+        first = (shape[2] * (types + shape[1] * sample.window))[sample.pixels.lens]
         light, weight = (
             self.places.add(values, size, first).reshape(shape)
-            for values in (sample.value, self.through)
+            for values in (sample.pixels.value, self.through)
         )
         radii = np.arange(shape[2]) * gain.step
         number = weight[..., radii < core].sum(-1)

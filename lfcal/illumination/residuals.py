@@ -19,7 +19,7 @@ from ..images.stack import CLIPPED_LIGHT
 from ..lattice.cell import Cell
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops, sample_mask
-from ..microimage.average import ProfilePlaces
+from ..microimage.average import LensPixels, ProfilePlaces
 from ..runtime.arrays import Array, Integers, Singles
 
 __all__ = [
@@ -57,10 +57,7 @@ class Sample(NamedTuple):
     field: Array  # (n, 2) places of the lenses in the field
     window: Integers  # (n,) of the field that each lens lies in
     window_terms: Array  # (windows, 10) `field_monomials` of the mean place of its lenses
-    lens: Integers  # (p,) which a pixel belongs to
-    x: Array  # (p,) [px] from its centre
-    y: Array  # (p,) [px]
-    value: Array  # (p,) luminance
+    pixels: LensPixels  # (p,) luminance
     clipping: float  # luminance from which on pixels count as clipped; infinite for white images
 
     @property
@@ -70,18 +67,16 @@ class Sample(NamedTuple):
 
     def evaluate(self, gain: GainMap) -> Array:
         """(3, p) relative light of each pixel, distance on the profile [px], share not cut off."""
-        lenses = gain.describe(self.field)
-        return gain.evaluate(lenses, self.lens, self.x, self.y)
+        own = self.pixels
+        return gain.evaluate(gain.describe(self.field), own.lens, own.x, own.y)
 
     def select(self, pixels: Integers) -> Sample:
         """Some of the pixels."""
-        return self._replace(
-            lens=self.lens[pixels], x=self.x[pixels], y=self.y[pixels], value=self.value[pixels]
-        )
+        return self._replace(pixels=self.pixels.select(pixels))
 
     def add(self, values: Array) -> Array:
         """(n,) sums over the pixels of each lens."""
-        return np.bincount(self.lens, values, len(self.field))
+        return np.bincount(self.pixels.lens, values, len(self.field))
 
 
 def draw_sample(
@@ -108,28 +103,12 @@ def draw_sample(
     window = np.unique(row * shape[0] + column, return_inverse=True)[1].ravel()
     count = np.bincount(window)
     middle = np.column_stack([np.bincount(window, way) / count for way in centres.T])
-    # Other pixels are left out in each lens.
-    rows = stride * step
-    number = np.arange(len(places))
-    first = np.ceil(places - cell.circumradius).astype(int) + np.column_stack(
-        [number // stride % stride, number % rows]
-    )
-    side = int(2 * cell.circumradius) + 1
-    x, y = (
-        first[:, axis, None] + np.arange(0, side, every) for axis, every in ((0, stride), (1, rows))
-    )
-    dx = x - places[:, :1]
-    dy = y - places[:, 1:]
-    inside = np.ones((len(places), y.shape[1], x.shape[1]), np.bool_)
-    for across, down in cell.normals:
-        inside &= (across * dx)[:, None, :] + (down * dy)[:, :, None] <= 0.5
-    lens, row, column = np.nonzero(inside)
-    value = crops.picture[y[lens, row], x[lens, column]].astype(np.float64) ** 2
+    own = LensPixels.of(crops.picture, places, cell, (stride, stride * step))
+    own = own._replace(value=own.value**2)
     field = lattice.field_place(centres)
     terms = field_monomials(lattice.field_place(middle), _WINDOW_TERMS)
-    clipping = CLIPPED_LIGHT * float(value.max()) if scene else math.inf
-    places_in = (lens, dx[lens, column], dy[lens, row])
-    return Sample(indices[chosen], field, window, terms, *places_in, value, clipping)
+    clipping = CLIPPED_LIGHT * float(own.value.max()) if scene else math.inf
+    return Sample(indices[chosen], field, window, terms, own, clipping)
 
 
 class Residuals(NamedTuple):
@@ -163,9 +142,9 @@ def collect_residuals(sample: Sample, gain: GainMap, scene: bool, largest: Array
     light, stretched, through = sample.evaluate(gain)
     core = CORES[0] if scene else CORES[1]
     level, slope, share = _fit_lens_lights(sample, light, core * gain.radius, scene)
-    lens = sample.lens
-    plane = np.maximum(1 + slope[0, lens] * sample.x + slope[1, lens] * sample.y, _LEAST_PLANE)
-    error = sample.value / level[lens] - light * plane
+    lens, x, y, value = sample.pixels
+    plane = np.maximum(1 + slope[0, lens] * x + slope[1, lens] * y, _LEAST_PLANE)
+    error = value / level[lens] - light * plane
     weight = share[lens]
     behind = (through < _BEHIND) & (weight > 0)
     stray = math.nan
@@ -184,10 +163,10 @@ def _fit_lens_lights(
 
     The weight is 0 for lenses that are clipped or too steep.
     """
-    inside = np.flatnonzero((np.hypot(sample.x, sample.y) <= core) & (light >= 0.5))
+    inside = np.flatnonzero((sample.pixels.distance() <= core) & (light >= 0.5))
     own = sample.select(inside)
     s = light[inside]
-    v = own.value
+    _, x, y, v = own.pixels
     count = own.add(np.ones_like(v))
     clipped = own.add((v >= sample.clipping).astype(np.float64))
     total = own.add(s * v)
@@ -197,8 +176,8 @@ def _fit_lens_lights(
     if not scene:
         return level, np.zeros((2, len(level))), good.astype(np.float64)
     # In a disc about the centre, light and slopes are hardly correlated.
-    sides = [own.add(s * d * v) for d in (own.x, own.y)]
-    sizes = [np.maximum(own.add(s * s * d * d), 1e-300) for d in (own.x, own.y)]
+    sides = [own.add(s * d * v) for d in (x, y)]
+    sizes = [np.maximum(own.add(s * s * d * d), 1e-300) for d in (x, y)]
     slope = np.array([side / size for side, size in zip(sides, sizes, strict=True)]) / level
     good &= (slope**2).sum(0) * core**2 <= 1
     left = (

@@ -8,8 +8,9 @@ well as gaps. How the tiles scatter about a smooth field tells the errors.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import chain, product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,9 +23,11 @@ from ..images.mosaic import equalise_mosaic
 from ..images.preprocessing import luminance
 from ..lattice.cell import Cell
 from ..lattice.robust_fit import MAD_TO_SIGMA
+from ..microimage.average import LensPixels
 from ..microimage.edge import blurred_edge
 from ..microimage.lit import STRAY, UNLIT, is_lit
-from ..runtime.arrays import evenly
+from ..runtime.arrays import evenly, white_of
+from ..runtime.light.tone import decode_srgb
 
 __all__ = ["LIGHT_FAULT", "Field", "MicroimageField", "measure_microimages"]
 
@@ -165,12 +168,16 @@ def measure_microimages(
     starts = []
     for encoded in (True, False) if unknown else (bool(camera.encoded),):
         tiles = _average_tiles(flat, camera, encoded, model.count, most)
-        if tiles:
+        middle = next(tiles, None)
+        if middle is not None:
             usual = model.start(_START_RADIUS * nearest_half(camera.lattice))
-            round_one, straight = (
-                (m, *m.fit(tiles[0], usual), tiles) for m in (model, replace(model, straight=True))
-            )
-            starts.append(straight if straight[2] < _STRAIGHT * round_one[2] else round_one)
+            start = (model, *model.fit(middle, usual), chain([middle], tiles))
+            if start[2] > _MISFIT:
+                sides = replace(model, straight=True)
+                straight = (sides, *sides.fit(middle, usual), start[3])
+                if straight[2] < _STRAIGHT * start[2]:
+                    start = straight
+            starts.append(start)
     least = min((miss for _, _, miss, _ in starts), default=1.0)
     # Two of 11 simulated cameras have less than 1.5; where a disc cuts, both may explain what the
     # other does.
@@ -319,7 +326,7 @@ def _blurred_sides(far: Array, radius: Array, blur: Array, width: float) -> Arra
 
 def _average_tiles(
     flat: NDArray[Any], camera: Calibration, encoded: bool, count: int, most: int
-) -> list[_Tile]:
+) -> Iterator[_Tile]:
     """Mean microimages of the tiles of the flat, that of the middle first."""
     lattice = camera.lattice
     types = camera.lens_types
@@ -332,21 +339,16 @@ def _average_tiles(
         most = min(most, _MOST_TILES)
     number = int(np.clip(np.sqrt(len(indices) / (_LENSES_OF_TILE * count)), 1, most))
     which = (centres / lattice.image_size * number).astype(int)
-    tiles = []
-    for at in sorted(
+    parts = sorted(
         product(range(number), repeat=2), key=lambda at: np.hypot(*(2 * np.array(at) - number + 1))
-    ):
+    )
+    for at in parts:
         own = np.flatnonzero((which == at).all(1))
         own = own[evenly(len(own), _PIXELS_OF_TILE / abs(np.linalg.det(lattice.basis)))]
-        tile = (
-            _average(flat, camera, cell, encoded, centres[own], kinds[own])
-            if len(own) >= 4 * count
-            else None
-        )
-        if tile is not None and len(np.unique(tile.kind)) == count:
-            tiles.append(tile)
-    lit = is_lit(np.array([tile.level for tile in tiles]), UNLIT)
-    return [tile for tile, bright in zip(tiles, lit, strict=True) if bright]
+        if len(own) >= 4 * count:
+            tile = _average(flat, camera, cell, encoded, centres[own], kinds[own])
+            if tile is not None and len(np.unique(tile.kind)) == count:
+                yield tile
 
 
 def _average(
@@ -363,35 +365,25 @@ def _average(
     high = np.ceil(centres.max(0)).astype(int) + reach + 2
     part = flat[low[1] : high[1], low[0] : high[0]]
     light = equalise_mosaic(part) if camera.mosaic and part.ndim == 2 else luminance(part)
-    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
-    whole = np.rint(centres).astype(int)
-    value = light[whole[:, 1, None, None] - low[1] + y, whole[:, 0, None, None] - low[0] + x]
+    pixels = LensPixels.of(light, centres - low, cell, border=_BORDER)
     if encoded:
-        value = value / (
-            camera.white_level
-            or (float(np.iinfo(flat.dtype).max) if flat.dtype.kind == "u" else 1.0)
-        )
-        # The sRGB curve (IEC 61966-2-1).
-        value = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
-    offset = (whole - centres)[:, None, None] + np.stack([x, y], -1)
-    middle = np.hypot(offset[..., 0], offset[..., 1]) < 0.5 * cell.inradius
-    core = (value * middle).sum((1, 2)) / middle.sum((1, 2))
+        value = decode_srgb(pixels.value / (camera.white_level or white_of(flat)))
+        pixels = pixels._replace(value=value)
+    middle = pixels.distance() < 0.5 * cell.inradius
+    core = np.bincount(pixels.lens, pixels.value * middle) / np.bincount(pixels.lens, middle)
     typical = float(np.median(core))
     # Neither dead lenses nor those behind dust.
-    keep = is_lit(core, STRAY)
-    if typical <= 0 or keep.sum() < 4:
+    lit = is_lit(core, STRAY)
+    if typical <= 0 or lit.sum() < 4:
         return None
-    value = value[keep] / core[keep, None, None]
-    offset = offset[keep]
-    kinds = kinds[keep]
-    inside = (offset @ cell.normals.T <= _BORDER).all(-1)
+    lens, x, y, value = pixels.select(lit[pixels.lens])
     side = _SIDE if camera.source == "white" else _SIDE_OF_SCENES
     across = int(2 * reach / side) + 3
-    square = np.floor((offset + reach) / side).astype(np.int64) + 1
-    key = ((kinds[:, None, None] * across + square[..., 1]) * across + square[..., 0])[inside]
-    filled, key, number = np.unique(key, return_inverse=True, return_counts=True)
-    measured = (value[inside], *offset[inside].T)
-    mean, *places = (np.bincount(key.ravel(), values) / number for values in measured)
+    column, row = (np.floor((away + reach) / side).astype(np.int64) + 1 for away in (x, y))
+    filled, key, number = np.unique(
+        (kinds[lens] * across + row) * across + column, return_inverse=True, return_counts=True
+    )
+    mean, *places = (np.bincount(key, values) / number for values in (value / core[lens], x, y))
     place = camera.lattice.field_place(centres.mean(0)[None])[0]
     some = evenly(len(filled), _SQUARES)
     return _Tile(
@@ -405,7 +397,11 @@ def _average(
     )
 
 
-def _fit_tiles(model: _Model, tiles: list[_Tile], start: Array) -> MicroimageField:
+def _fit_tiles(model: _Model, found: Iterable[_Tile], start: Array) -> MicroimageField:
+    tiles = list(found)
+    lit = is_lit(np.array([tile.level for tile in tiles]), UNLIT)
+    # The start is that of the first tile.
+    tiles = [tile for number, tile in enumerate(tiles) if number == 0 or lit[number]]
     table = np.array([start, *(model.fit(tile, start)[0] for tile in tiles[1:])])
     place = np.array([tile.place for tile in tiles])
     t = model.count

@@ -1,4 +1,4 @@
-"""Profiles of microimages: averages over many pixels, at samples `0, step, 2 * step, ...`.
+"""Pixels of many lenses, and profiles of microimages: averages at samples `0, step, 2 * step, ...`.
 
 A profile is over the distance from the centre, or from a middle line.
 """
@@ -9,15 +9,64 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..lattice.cell import Cell
 from ..runtime.arrays import Array, Floats, Integers
 
-__all__ = ["ProfilePlaces", "average_profile", "estimate_variance"]
+__all__ = ["LensPixels", "ProfilePlaces", "average_profile", "estimate_variance"]
 
 # Samples with a smaller share of the pixels of the fullest one are interpolated.
 _FEW_PIXELS = 1e-3
 # Samples over which variances are averaged, and pixels of the variance of all that count with them.
 _NEAR = 5
 _COMMON_PIXELS = 10
+
+
+class LensPixels(NamedTuple):
+    """Pixels (p,) of the cells of lenses (n,)."""
+
+    lens: Integers  # (p,) which a pixel belongs to
+    x: Floats  # (p,) [px] from its centre
+    y: Floats  # (p,) [px]
+    value: Floats  # (p,)
+
+    @classmethod
+    def of(
+        cls,
+        picture: Array,
+        places: Floats,
+        cell: Cell,
+        stride: tuple[int, int] = (1, 1),
+        border: float = 0.5,
+    ) -> LensPixels:
+        """Those of cells about `places` (n, 2) [px] that lie inside a picture (h, w).
+
+        Of a cell every so many columns and rows are taken, other ones in each lens. At a `border`
+        above 0.5, cells are that much wider [cell].
+        """
+        reach = 2 * border * cell.circumradius
+        number = np.arange(len(places))
+        begin = np.ceil(places - reach).astype(int)
+        begin += np.column_stack([number // stride[0] % stride[0], number % stride[1]])
+        side = int(2 * reach) + 1
+        x, y = (begin[:, way, None] + np.arange(0, side, stride[way]) for way in (0, 1))
+        dx = x - places[:, :1]
+        dy = y - places[:, 1:]
+        height, width = picture.shape
+        inside = ((x >= 0) & (x < width))[:, None, :] & ((y >= 0) & (y < height))[:, :, None]
+        for across, down in cell.normals:
+            inside &= (across * dx)[:, None, :] + (down * dy)[:, :, None] <= border
+        lens, row, column = np.nonzero(inside)
+        value = picture[y[lens, row], x[lens, column]].astype(np.float64)
+        return cls(lens, dx[lens, column], dy[lens, row], value)
+
+    def select(self, pixels: Array) -> LensPixels:
+        """Some of the pixels."""
+        lens, *rest = self
+        return LensPixels(lens[pixels], *(values[pixels] for values in rest))
+
+    def distance(self) -> Floats:
+        """(p,) [px] from the centres."""
+        return np.hypot(self.x, self.y)
 
 
 class ProfilePlaces(NamedTuple):

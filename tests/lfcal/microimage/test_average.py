@@ -4,7 +4,38 @@ from __future__ import annotations
 
 import numpy as np
 
-from lfcal.microimage.average import ProfilePlaces, average_profile, estimate_variance
+from lfcal.lattice.cell import Cell
+from lfcal.microimage.average import (
+    LensPixels,
+    ProfilePlaces,
+    average_profile,
+    estimate_variance,
+)
+
+from ._dots import LATTICE
+
+
+def test_pixels_of_cells_are_each_pixel_of_a_flat_once():
+    picture = np.arange(240 * 300, dtype=np.float32).reshape(240, 300)
+    # With the lenses beside the flat.
+    i, j = np.mgrid[-30:60, -30:60].reshape(2, -1)
+    centres = LATTICE.points(np.column_stack([i, j]))
+    pixels = LensPixels.of(picture, centres, Cell.of(LATTICE))
+    np.testing.assert_array_equal(np.sort(pixels.value), np.arange(picture.size))
+    x, y = centres[pixels.lens].T
+    np.testing.assert_allclose(pixels.value, np.rint(y + pixels.y) * 300 + np.rint(x + pixels.x))
+
+
+def test_strides_leave_out_rows_and_columns_and_wider_borders_take_more():
+    picture = np.ones((240, 300), np.float32)
+    _, centres = LATTICE.select_whole(20)
+    cell = Cell.of(LATTICE)
+    whole, fewer, wider = (
+        len(LensPixels.of(picture, centres, cell, stride, border).lens)
+        for stride, border in (((1, 1), 0.5), ((2, 3), 0.5), ((1, 1), 0.6))
+    )
+    assert abs(fewer / whole - 1 / 6) < 0.005
+    assert abs(wider / whole - 1.2**2) < 0.02
 
 
 def test_reading_a_profile_is_the_adjoint_of_adding_to_it():
