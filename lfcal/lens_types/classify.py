@@ -20,7 +20,7 @@ from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops
 from ..runtime.arrays import Booleans, Floats, Integers, Singles
 from .coarse_disparity import estimate_coarse_disparity
-from .focus_order import find_focus_order
+from .focus_order import MIN_SPREAD, find_focus_order
 from .lens_sample import (
     LensFeatures,
     LensSample,
@@ -87,7 +87,10 @@ def find_lens_types(
     sharpness = sample.subtract_neighbours(features.sharpness)
     if np.isfinite(sharpness).sum() < _FEWEST_LENSES:
         return None
-    strength = _strengths(sample, features, white, others)
+    disparity = np.full(len(sharpness), np.nan)
+    if not white:
+        disparity = estimate_coarse_disparity(crops.picture, sample)
+    strength = _strengths(sample, features, disparity, white, others)
     twos = np.array([period == 2 for period, *_ in _MOSAICS])
     # Two patterns of pairs at once are four types.
     four = np.count_nonzero(strength[twos]) > 1
@@ -100,9 +103,6 @@ def find_lens_types(
     i, j = np.mgrid[0:period, 0:period]
     pairs = period == 2 and four
     cell = i * period + j if pairs else (p * i + q * j) % period
-    disparity = np.full(len(sharpness), np.nan)
-    if not white:
-        disparity = estimate_coarse_disparity(crops.picture, sample)
     inner_loss = sample.subtract_neighbours(features.inner_loss)
     beats = _beats(_VECTORS[[strongest]], lattice)[0]
     outer_light = inner_loss
@@ -127,14 +127,20 @@ class _Feature(NamedTuple):
     least: Floats  # (mosaics,) difference between types below which it does not count
 
 
-def _strengths(sample: LensSample, features: LensFeatures, white: bool, others: Floats) -> Floats:
+def _strengths(
+    sample: LensSample,
+    features: LensFeatures,
+    disparity: Floats,
+    white: bool,
+    others: Floats,
+) -> Floats:
     """Power (mosaics,) of each mosaic over that of the strongest other pattern.
 
     It is 0 for mosaics that are not significant.
     """
     vectors = np.vstack([_VECTORS, others])
     waves = _waves(sample.inner, vectors) / _gain(vectors, sample.lattice)
-    found = _list_features(sample, features, white)
+    found = _list_features(sample, features, disparity, white)
     count = len(_MOSAICS)
     # (f, v) 1 on average for noise.
     power = _power(np.array([feature.values for feature in found]), waves)
@@ -164,7 +170,9 @@ def _strengths(sample: LensSample, features: LensFeatures, white: bool, others: 
     return strength
 
 
-def _list_features(sample: LensSample, features: LensFeatures, white: bool) -> list[_Feature]:
+def _list_features(
+    sample: LensSample, features: LensFeatures, disparity: Floats, white: bool
+) -> list[_Feature]:
     # Where lattice and pixels beat, the pixel grid cuts edges differently.
     beats = _beats(_VECTORS, sample.lattice)
     outer_light = _differences(sample, features.outer_light)
@@ -173,7 +181,14 @@ def _list_features(sample: LensSample, features: LensFeatures, white: bool) -> l
         level = _differences(sample, features.level)
         return [*found, _Feature(level, np.full(len(beats), _LEVEL))]
     sharpness = _differences(sample, features.sharpness)
-    return [*found, _Feature(sharpness, np.where(beats, _WITH_BEATS, _SHARPNESS))]
+    least = np.where(beats, _WITH_BEATS, _SHARPNESS)
+    found.append(_Feature(sharpness, least))
+    spread = np.nanstd(disparity) if np.isfinite(disparity).sum() >= _FEWEST_LENSES else 0.0
+    if spread > MIN_SPREAD:
+        # Which type is sharper changes with depth, and may cancel over a whole flat: TempleBoat.
+        depth = np.clip(np.nan_to_num((disparity - np.nanmean(disparity)) / spread), -2, 2)
+        found.append(_Feature(sharpness * depth, least))
+    return found
 
 
 def _differences(sample: LensSample, feature: Floats) -> Floats:

@@ -14,7 +14,7 @@ _FEWEST_LENSES = 40
 # If the light beyond rims over that before them is larger, the flat is a white image.
 FLATTENED = 0.95
 # Least spread of `s / D` of a scene that has depth.
-_MIN_SPREAD = 0.02
+MIN_SPREAD = 0.02
 #: Relative differences of the light at rims may come from how pixels fall.
 RIM_FAULT = 0.015
 # Standard errors between types whose order is right (wrong once in 10,000 cases), and between those
@@ -30,7 +30,7 @@ _ALL = (0.02, 0.98)
 _NEAR = 0.12
 _MOST_ERROR = 0.03
 
-__all__ = ["FLATTENED", "RIM_FAULT", "FocusOrder", "TypeMeans", "find_focus_order"]
+__all__ = ["FLATTENED", "MIN_SPREAD", "RIM_FAULT", "FocusOrder", "TypeMeans", "find_focus_order"]
 
 
 class FocusOrder(NamedTuple):
@@ -173,7 +173,7 @@ def _order_over_depth(
     less the mean of all types.
     """
     known = np.isfinite(sharpness) & np.isfinite(disparity)
-    if known.sum() < _FEWEST_LENSES or disparity[known].std() < _MIN_SPREAD:
+    if known.sum() < _FEWEST_LENSES or disparity[known].std() < MIN_SPREAD:
         return None
     fit = types.fit_lines(sharpness, disparity)
     if fit is None:
