@@ -129,11 +129,11 @@ def _fit_planes(begin, end, pairs: _LensPairs, start, prior, rounds, out: _Plane
     patch_sizes, variances, places = pairs
     sizes, slants, spreads = out
     for lens in range(begin, end):
+        sizes[lens] = np.nan
+        slants[lens] = 0.0
+        spreads[lens, :2] = np.inf
+        spreads[lens, 2:] = 0.0
         if not np.isfinite(start[lens]) or np.isnan(patch_sizes[lens]).all():
-            sizes[lens] = np.nan
-            slants[lens] = 0.0
-            spreads[lens, :2] = np.inf
-            spreads[lens, 2:] = 0.0
             continue
         slant_x = np.float64(prior[lens, 0])
         slant_y = np.float64(prior[lens, 1])
@@ -146,6 +146,9 @@ def _fit_planes(begin, end, pairs: _LensPairs, start, prior, rounds, out: _Plane
             (slant_x, slant_y, known),
             rounds,
         )
+        # Pairs that agree to the last digit, as without noise, may leave no weight at all.
+        if np.isnan(plane.height):
+            continue
         slope_variance = 0.5 * (plane.slope_x_variance + plane.slope_y_variance)
         sizes[lens] = plane.height
         slants[lens, 0] = slant_x + plane.slope_x

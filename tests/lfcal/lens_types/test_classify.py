@@ -168,6 +168,11 @@ def test_real_capture_shows_the_types_its_camera_has(shared):
     assert -0.45 < found.focus[0] < found.focus[2] < -0.15
 
 
+def test_types_that_change_places_with_depth_are_found_without_rims(shared):
+    camera = lfcal.calibrate(lfcal.read_flat(shared("captures", "TempleBoatGiantR32.webp")))
+    assert camera.lens_types.count == 3 and camera.lens_types.ordered
+
+
 @pytest.mark.parametrize("folder", ["s3_r5", "s5b_tspc"])
 def test_ray_traced_single_type_cameras_are_not_split(shared, folder):
     truth = json.loads(shared("truth", folder, "truth.json").read_text())["camera"]
