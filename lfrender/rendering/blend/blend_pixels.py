@@ -88,14 +88,14 @@ class _Place(NamedTuple):
 
 @njit(error_model="numpy", inline="always")
 def _limits(s, pitch, weighting, last):
-    """Slope s / D of a scene point, distance up to which lenses are read for it, and column of the
-    weights of lens types.
+    """Slope s / D of a scene point, distance up to which lenses are read for it and its square, and
+    column of the weights of lens types.
     """
     one = np.float32(1)
     slope = s / pitch
     limit = min(weighting.widest / max(abs(slope), np.float32(1e-6)), weighting.reach)
     ratio = int((slope + one) * np.float32(0.5 * last) + np.float32(0.5))
-    return slope, limit, min(max(ratio, 0), last)
+    return slope, limit, limit * limit, min(max(ratio, 0), last)
 
 
 @njit(error_model="numpy", inline="always")
@@ -136,9 +136,9 @@ def _is_hidden(shown, place, s, edge):
 
 
 @njit(error_model="numpy", forceinline=True)
-def _interpolate(line, across, down, place, gain, channels, value):
-    """Write `gain` times the values of the flat at a place; values of the pixels to the right and
-    below lie `across` and `down` farther in the `line`.
+def _interpolate(line, across, down, place, gain, weight, value, total):
+    """Write `gain` times the values of the flat at a place, and add them, weighted, to the `total`;
+    values of the pixels to the right and below lie `across` and `down` farther in the `line`.
     """
     one = np.float32(1)
     right = place.right
@@ -148,11 +148,12 @@ def _interpolate(line, across, down, place, gain, channels, value):
     w00 = gain * (one - below) - w01
     w10 = gain * below - w11
     at = place.y * down + place.x * across
-    for c in range(channels):
+    for c in range(len(total)):
         upper = w00 * np.float32(line[at + c]) + w01 * np.float32(line[at + across + c])
         lower = w10 * np.float32(line[at + down + c])
         lower += w11 * np.float32(line[at + down + across + c])
         value[c] = upper + lower
+        total[c] += weight * value[c]
 
 
 @njit(error_model="numpy", forceinline=True)
@@ -179,11 +180,7 @@ def _add_agreeing(values, weights, found, tolerance, channels, mean, total):
 # before the loop over pixels.
 @kernel(error_model="numpy", share=lambda *given: len(given[7].image))
 def blend_pixels(begin, end, flat, light, lenses, surface, depth, grid, weighting, output):
-    """Draw the pixels of a `Grid` into an `Output`, with the patch sizes `surface` (h, w) on a
-    `DepthGrid`.
-
-    The bits do not depend on the part that is drawn.
-    """
+    """Draw the pixels of a `Grid` into an `Output`; their bits do not depend on the part drawn."""
     pixels, shown, corner, size = flat
     gains, light_step, applied = light
     centres = lenses.centres
@@ -221,27 +218,23 @@ def blend_pixels(begin, end, flat, light, lenses, surface, depth, grid, weightin
         for u in range(image.shape[1]):
             if wanted.size > 0 and not wanted[v, u]:
                 continue
-            centre_x = grid.first[0] + (grid.start[0] + u) * grid.spacing
-            centre_y = grid.first[1] + (grid.start[1] + v) * grid.spacing
-            s = patch_size_at(surface, depth, np.float32(centre_x), np.float32(centre_y))
-            samples, apart = count_samples(
-                surface, depth, centre_x, centre_y, s, grid, pitch, squares
-            )
+            at_x = grid.first[0] + (grid.start[0] + u) * grid.spacing
+            at_y = grid.first[1] + (grid.start[1] + v) * grid.spacing
+            s = patch_size_at(surface, depth, np.float32(at_x), np.float32(at_y))
+            samples, apart = count_samples(surface, depth, at_x, at_y, s, grid, pitch, squares)
             middle = 0.5 * (samples - 1)
             total[:] = 0
             seen = 0
             for sample in range(samples * samples):
-                x = centre_x + (sample % samples - middle) * apart
-                y = centre_y + (sample // samples - middle) * apart
+                x = at_x + (sample % samples - middle) * apart
+                y = at_y + (sample // samples - middle) * apart
                 if samples > 1:
                     s = patch_size_at(surface, depth, np.float32(x), np.float32(y))
-                slope, limit, ratio = _limits(s, pitch, weighting, shares.shape[1] - 1)
-                limit2 = limit * limit
+                slope, limit, limit2, ratio = _limits(s, pitch, weighting, shares.shape[1] - 1)
                 i, j = nearest_index(x, y, origin, inverse, bend, lenses.lowest)
                 farthest = limit + beside
                 found = 0
                 best = np.float32(np.inf)
-                best_at = 0
                 norm = np.float32(0)
                 mean[:] = 0
                 for o in range(len(offsets)):
@@ -263,15 +256,14 @@ def blend_pixels(begin, end, flat, light, lenses, surface, depth, grid, weightin
                     if edged[lens] and _is_hidden(shown, place, s, depth.edge):
                         weight *= OCCLUDED
                         away2 += limit2
-                    if away2 < best:
+                    if nearest_alone:
+                        if away2 >= best:
+                            continue
                         best = away2
-                        best_at = found
-                        if nearest_alone:
-                            farthest = min(farthest, np.sqrt(best) + beside)
+                        farthest = min(farthest, np.sqrt(best) + beside)
+                        found = 0
                     gain = one + applied * (gain - one)
-                    _interpolate(line, across, down, place, gain, channels, values[found])
-                    for c in range(channels):
-                        mean[c] += weight * values[found, c]
+                    _interpolate(line, across, down, place, gain, weight, values[found], mean)
                     weights[found] = weight
                     norm += weight
                     found += 1
@@ -279,7 +271,7 @@ def blend_pixels(begin, end, flat, light, lenses, surface, depth, grid, weightin
                     continue
                 seen += 1
                 if nearest_alone:
-                    total += values[best_at]
+                    total += values[0]
                     continue
                 mean /= norm
                 _add_agreeing(values, weights, found, tolerance, channels, mean, total)
