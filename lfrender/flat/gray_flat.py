@@ -11,6 +11,8 @@ from lfcal import Calibration, Lattice
 from lfcal.runtime.kernels import FAST, kernel, square
 from lfcal.runtime.light.tone import is_encoded
 
+from .microimages import row_of_disc
+
 __all__ = [
     "GrayFlat",
     "correction_cell",
@@ -157,10 +159,8 @@ def _fill_gains(begin, end, centres, tables, radius, gains, per_step, image):
         for y in range(
             max(0, int(np.ceil(cy - radius))), min(height - 1, int(np.floor(cy + radius))) + 1
         ):
-            half = np.sqrt(max(radius * radius - square(y - cy), np.float32(0.0)))
-            for x in range(
-                max(0, int(np.ceil(cx - half))), min(width - 1, int(np.floor(cx + half))) + 1
-            ):
+            left, count = row_of_disc(np.float32(y) - cy, cx, radius, 0, width - 1)
+            for x in range(left, left + count):
                 away = square(x - cx) + square(y - cy)
                 image[y, x] = gains[tables[lens], min(int(away * per_step), last)]
 

@@ -10,7 +10,7 @@ depends on the whole pixels of the shift only: a mask marks them.
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from lfcal.runtime.kernels import FAST, kernel
 
-from .gray_flat import GrayFlat
+if TYPE_CHECKING:
+    from .gray_flat import GrayFlat
 
 __all__ = [
     "VECTOR_LENGTH",
@@ -52,10 +53,6 @@ class Strips(NamedTuple):
     middle: NDArray[np.int32]  # (n, 2) pixel `x, y` in the middle of each microimage
     whole: NDArray[np.bool_]  # (n,) microimages that lie within the flat
     extracted: NDArray[np.bool_]  # (n,) microimages that have been cut out
-    # Offset x, y from the middle [px] of each value of the first part of a strip; infinite after
-    # its end.
-    columns: NDArray[np.float32]
-    lines: NDArray[np.float32]
     half: int  # [px] from the middle to the sides
     width: int  # [px] of a row
     rows: int  # number of rows of a part
@@ -164,16 +161,12 @@ def allocate_strips(gray: GrayFlat, means: NDArray[np.float32], step: int) -> St
     # Vector loops read beyond the end of a strip, where values must be numbers. The memory of
     # strips that are not cut out is not touched.
     values = np.zeros(len(middle) * rows * step * width + VECTOR_LENGTH + width, np.float32)
-    line, column = np.divmod(np.arange(rows * width), width)
-    off = np.full(VECTOR_LENGTH, np.inf, np.float32)
     return Strips(
         means,
         values,
         middle,
         inside[:, 0] & inside[:, 1],
         np.zeros(len(middle), bool),
-        np.append((column - half).astype(np.float32), off),
-        np.append((line * step - half).astype(np.float32), off),
         half,
         width,
         rows,

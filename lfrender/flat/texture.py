@@ -19,7 +19,7 @@ from lfcal.runtime.kernels import FAST, kernel
 
 from .gray_flat import GrayFlat
 from .lens_graph import dilate_mask
-from .microimages import allocate_strips
+from .microimages import allocate_strips, row_of_disc
 from .neighbours import neighbours_of
 from .shading import remove_shading
 
@@ -104,12 +104,10 @@ def _measure(begin, end, image, centres, wanted, radius, middle, row_step, out):
             row_step,
         ):
             dy = np.float32(y) - cy
-            half = np.sqrt(max(radius * radius - dy * dy, zero))
-            left = max(1, int(np.ceil(cx - half)))
-            right = min(width - 2, int(np.floor(cx + half)))
+            left, count = row_of_disc(dy, cx, radius, 1, width - 2)
             at = np.uint64(y * width + left)
             first = np.float32(left) - cx
-            for k in range(np.uint64(max(right - left + 1, 0))):
+            for k in range(np.uint64(count)):
                 here = at + k
                 above = here - across
                 below = here + across
@@ -132,7 +130,7 @@ def _measure(begin, end, image, centres, wanted, radius, middle, row_step, out):
                 inner += within
                 inner_total += within * value
                 inner_squares += within * value * value
-            number += np.float32(max(right - left + 1, 0))
+            number += np.float32(count)
         mean, out[1, lens] = _mean_and_deviation(number, total, squares)
         out[0, lens] = near + mean
         out[2, lens] = _mean_and_deviation(inner, inner_total, inner_squares)[1]

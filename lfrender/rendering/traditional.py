@@ -12,6 +12,7 @@ from ..data.depth_map import REASONS, DepthMap
 from ..data.rendering import PictureGrid, Rendering, finish_picture
 from ..depth.same_surface import TOLERANCE, same_surface
 from ..flat.gray_flat import correction_tables, has_uneven_lenses
+from ..flat.microimages import row_of_disc
 from ..flat.neighbours import neighbours_of
 from ..flat.validation import check_flat
 
@@ -42,10 +43,8 @@ def _lens_means(begin, end, flat, unlit, centres, radius, gains, step, out, lit)
         for y in range(
             max(0, int(np.ceil(cy - radius))), min(height - 1, int(np.floor(cy + radius))) + 1
         ):
-            half = np.sqrt(max(0.0, radius * radius - square(y - cy)))
-            for x in range(
-                max(0, int(np.ceil(cx - half))), min(width - 1, int(np.floor(cx + half))) + 1
-            ):
+            left, number = row_of_disc(y - cy, cx, radius, 0, width - 1)
+            for x in range(left, left + number):
                 if not (known and unlit[y, x]):
                     gain = gains[min(int((square(x - cx) + square(y - cy)) / step), last)]
                     for k in range(channels):

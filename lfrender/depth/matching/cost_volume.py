@@ -17,7 +17,6 @@ from lfcal.runtime.kernels import FAST, kernel
 
 from ...flat.gray_flat import GrayFlat
 from ...flat.microimages import (
-    VECTOR_LENGTH,
     OverlapMasks,
     Strips,
     bilinear_weights,
@@ -92,10 +91,20 @@ class _Move(NamedTuple):
     weights: Any  # of the four pixels about the place
 
 
+class _Raster(NamedTuple):
+    """Pixels of strips."""
+
+    half: Any  # int [px]: from the middle of a microimage to its sides
+    width: Any  # int [px]: of a row
+    rows: Any  # int: number of rows of a part
+    step: Any  # int: number of parts
+    flat_size: Any  # two int [px]: height and width of the flat
+    radius2: Any  # float32 [px^2]: of microimages
+
+
 class _Overlap(NamedTuple):
     """Pixels that two strips share."""
 
-    count: Any  # float32: their number
     first: Any  # int32: place of the first one in the first strip
     number: Any  # int32: of those to read
     upper: Any  # int32: from a place in the first strip to its partner in the second one
@@ -128,58 +137,57 @@ def _strip_moments(strips, own, other, overlap, masks, mask, weights):
     return sa, sb, squares, srr
 
 
-@njit(fastmath=FAST, error_model="numpy", forceinline=True)
-def _mask_discs(columns, lines, start, count, discs, box, radius2, out):
-    """Mask the pixels of a strip from `start` on that lie in both discs, at `ax, ay, bx, by` from
-    its middle, and in a box; how many do.
+@njit(error_model="numpy", forceinline=True)
+def _disc_moments(values, own, other, pair, move, raster, ones):
+    """Number of the pixels of a strip that have a partner in another one, in both discs and on the
+    flat, and sums over them as those of `_strip_moments`, row by row.
     """
-    ax, ay, bx, by = discs
-    low_x, low_y, high_x, high_y = box
-    first = np.uint64(start)
-    number = np.float32(0.0)
-    for k in range(np.uint64(count)):
-        x = columns[first + k]
-        y = lines[first + k]
-        a2 = (x - ax) * (x - ax) + (y - ay) * (y - ay)
-        b2 = (x - bx) * (x - bx) + (y - by) * (y - by)
-        inside = (
-            (max(a2, b2) <= radius2) & (x >= low_x) & (y >= low_y) & (x <= high_x) & (y <= high_y)
-        )
-        out[k] = np.float32(1.0) if inside else np.float32(0.0)
-        number += out[k]
-    return number
-
-
-@njit(error_model="numpy", inline="always")
-def _mask_pair(a, b, middle, other, move, radius2, columns, lines, shape, flat_size, out):
-    """Fill `out` with a mask of the pixels of a strip, of a lens with its centre at `a` and
-    `middle` its middle pixel, that have a partner in that of another at `b`.
-    """
-    half, width, rows, step = shape
+    a, b, middle, far = pair
+    ax = a[0] - middle[0]
+    ay = a[1] - middle[1]
+    bx = b[0] - move.x - middle[0]
+    by = b[1] - move.y - middle[1]
+    half = raster.half
+    width = raster.width
+    step = raster.step
     dx = move.across
     dy = move.down
-    count = np.float32(0.0)
-    first = -(min(0, dy) // step) * width + max(0, -dx)
-    number = ((2 * half - 1 - max(0, dy)) // step + 1) * width - first
-    number = (number + VECTOR_LENGTH - 1) // VECTOR_LENGTH * VECTOR_LENGTH
-    if number > 0:
-        x, y = middle
-        far_x, far_y = other
-        height, across = flat_size
-        discs = (a[0] - x, a[1] - y, b[0] - move.x - x, b[1] - move.y - y)
-        # Interpolation reads one pixel beyond, and both microimages end at the border of the flat.
-        box = (
-            np.float32(max(-half - dx, -x, -far_x - dx)),
-            np.float32(max(-half - dy, -y, -far_y - dy)),
-            np.float32(min(across - 1 - x, across - 2 - far_x - dx)),
-            np.float32(min(height - 1 - y, height - 2 - far_y - dy)),
+    height, across = raster.flat_size
+    # Interpolation reads one pixel beyond, and both microimages end at the border of the flat.
+    left = max(-middle[0], -far[0] - dx)
+    right = min(across - 1 - middle[0], across - 2 - far[0] - dx)
+    top = max(-half, -middle[1], -far[1] - dy)
+    bottom = min(half, height - 1 - middle[1], height - 2 - far[1] - dy)
+    upper = ((dy % step) * raster.rows + dy // step) * width + dx
+    lower = (((dy + 1) % step) * raster.rows + (dy + 1) // step) * width + dx
+    count = 0
+    sa = sb = squares = srr = np.float32(0.0)
+    for line in range((top + half + step - 1) // step, (bottom + half) // step + 1):
+        y = np.float32(line * step - half)
+        own2 = raster.radius2 - (y - ay) * (y - ay)
+        other2 = raster.radius2 - (y - by) * (y - by)
+        if min(own2, other2) < 0:
+            continue
+        own_half = np.sqrt(own2)
+        other_half = np.sqrt(other2)
+        first = max(left, int(np.ceil(max(ax - own_half, bx - other_half))))
+        last = min(right, int(np.floor(min(ax + own_half, bx + other_half))))
+        if last < first:
+            continue
+        at = line * width + first + half
+        row = _Overlap(
+            np.int32(at),
+            np.int32(last + 1 - first),
+            np.int32(upper),
+            np.int32(lower),
         )
-        count = _mask_discs(columns, lines, first, number, discs, box, radius2, out)
-    upper = ((dy % step) * rows + dy // step) * width + dx
-    lower = (((dy + 1) % step) * rows + (dy + 1) // step) * width + dx
-    return _Overlap(
-        count, np.int32(first), np.int32(max(number, 0)), np.int32(upper), np.int32(lower)
-    )
+        sums = _strip_moments(values, own + at, other + at, row, ones, 0, move.weights)
+        count += last + 1 - first
+        sa += sums[0]
+        sb += sums[1]
+        squares += sums[2]
+        srr += sums[3]
+    return np.float32(count), sa, sb, squares, srr
 
 
 @njit(error_model="numpy", inline="always")
@@ -209,22 +217,16 @@ def _pair_costs(begin, end, terms, strips, masks, rows, tried, out):
     values = strips.values
     middle = strips.middle
     whole = strips.whole
-    columns = strips.columns
-    lines = strips.lines
-    half = strips.half
-    width = strips.width
-    tall = strips.rows
     step = strips.step
-    flat_size = strips.flat_size
+    radius2 = radius * radius
+    raster = _Raster(strips.half, strips.width, strips.rows, step, strips.flat_size, radius2)
     slots, shared, ends, counts = masks
     sizes, near_zero, which = tried
     line = shared.reshape(-1)
     length = shared.shape[1]
-    own_mask = np.empty(length, np.float32)
+    ones = np.ones(strips.width, np.float32)
     reach = len(slots) // 2
-    size = tall * step * width
-    shape = (half, width, tall, step)
-    radius2 = radius * radius
+    size = strips.rows * step * strips.width
     mid = np.float32(0.5)
     for lens in range(begin, end):
         for d in range(rows.shape[1]):
@@ -247,42 +249,30 @@ def _pair_costs(begin, end, terms, strips, masks, rows, tried, out):
                 slot = np.int32(-1)
                 if both_whole and abs(move.across) <= reach and abs(move.down) <= reach:
                     slot = slots[move.down + reach, move.across + reach]
+                own = lens * size
+                there = other * size
                 # Of small overlaps, below a third of a microimage, the pixels at the rim are tested
                 # one by one.
                 if slot >= 0 and counts[slot] * step > radius2:
-                    overlap = _Overlap(
-                        np.float32(counts[slot]),
-                        ends[slot, 0],
-                        ends[slot, 1],
-                        ends[slot, 2],
-                        ends[slot, 3],
+                    count = np.float32(counts[slot])
+                    overlap = _Overlap(ends[slot, 0], ends[slot, 1], ends[slot, 2], ends[slot, 3])
+                    first = overlap.first
+                    sa, sb, squares, srr = _strip_moments(
+                        values,
+                        own + first,
+                        there + first,
+                        overlap,
+                        line,
+                        slot * length + first,
+                        move.weights,
                     )
                 else:
-                    slot = np.int32(-1)
-                    overlap = _mask_pair(
-                        a,
-                        b,
-                        middle_a,
-                        middle_b,
-                        move,
-                        radius2,
-                        columns,
-                        lines,
-                        shape,
-                        flat_size,
-                        own_mask,
+                    pair = (a, b, middle_a, middle_b)
+                    count, sa, sb, squares, srr = _disc_moments(
+                        values, own, there, pair, move, raster, ones
                     )
-                count = overlap.count
                 if count < 4:
                     continue
-                own = lens * size + overlap.first
-                there = other * size + overlap.first
-                if slot >= 0:
-                    mask = slot * length + overlap.first
-                    sums = _strip_moments(values, own, there, overlap, line, mask, move.weights)
-                else:
-                    sums = _strip_moments(values, own, there, overlap, own_mask, 0, move.weights)
-                sa, sb, squares, srr = sums
                 out[lens, d, k] = match_cost(
                     count,
                     sa,

@@ -89,8 +89,9 @@ def test_the_partner_of_a_pixel_is_as_far_along_the_strip_as_the_shift():
     for dx, dy in [(5, -3), (-16, 4)]:
         slot = slots[dy + reach, dx + reach]
         at = np.flatnonzero(masks[slot])
-        x = strips.middle[0, 0] + dx + strips.columns[at].astype(int)
-        y = strips.middle[0, 1] + dy + strips.lines[at].astype(int)
+        line, column = np.divmod(at, strips.width)
+        x = strips.middle[0, 0] + dx + column - strips.half
+        y = strips.middle[0, 1] + dy + line * strips.step - strips.half
         values = strips.values[:size]
         for distance, below in zip(ends[slot, 2:], (0, 1), strict=True):
             partner = gray.image[y + below, x] - strips.means[0]
