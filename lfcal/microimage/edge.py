@@ -14,7 +14,7 @@ import numpy as np
 
 from ..runtime.arrays import Array
 
-__all__ = ["EdgeLight", "blurred_edge"]
+__all__ = ["EdgeLight", "blurred_edge", "gaussian_edge"]
 
 
 class EdgeLight(NamedTuple):
@@ -56,4 +56,20 @@ def blurred_edge(
         2 * chord - curvature * (2 * lost / blur - blur * t * chord),
         -lost,
     )
+    return EdgeLight(*((high - low) / width for low, high in ends))
+
+
+def gaussian_edge(depth: Array, blur: Array | float, width: float) -> EdgeLight:
+    """Light of pixels (m,) at a `depth` [px] inside a straight edge that a Gaussian blurs.
+
+    Arguments are those of `blurred_edge`; the standard deviation of the Gaussian is half the `blur`,
+    as that of a disc is.
+    """
+    from scipy.special import ndtr
+
+    sigma = np.asarray(blur) / 2
+    side = np.stack([depth - width / 2, depth + width / 2])
+    share = ndtr(side / sigma)
+    height = np.exp(-0.5 * (side / sigma) ** 2) / np.sqrt(2 * np.pi)
+    ends = (side * share + sigma * height, share, height / 2, np.zeros_like(side))
     return EdgeLight(*((high - low) / width for low, high in ends))

@@ -38,7 +38,6 @@ from .any_shape import AnyMicroimages
 from .kernel import Sums
 from .microimages import (
     Microimages,
-    compare_pixels,
     cut_out,
     measure_centroid_offset,
     measure_narrowing,
@@ -385,20 +384,23 @@ def _fit_squares(fit: Fit, plain: Fit) -> Fit:
     have one that the microimages do not have.
     """
     squares = SquareMicroimages.of(fit.lenses, plain.lattice)
-    if squares is None or _cost_ratio(squares, fit.lenses) > _STRAIGHT:
+    if squares is None:
+        return fit
+    whole = fit.lenses.thin(_COMPARED).residuals()
+    if _cost_ratio(squares.residuals(), whole) > _STRAIGHT:
         return fit
     found = plain
     try:
         # Edges of squares turned by 45 degrees are learned slowly.
         for _ in range(_ROUNDS):
-            found = converge(found.lattice, squares, plain.orders)
+            found = converge(found.lattice, squares.choose_edge(), plain.orders)
             assert isinstance(found.lenses, SquareMicroimages)
             squares = found.lenses
         found = _select_orders(found)
     except (CalibrationError, ValueError):
         return fit
     assert isinstance(found.lenses, SquareMicroimages)
-    if _cost_ratio(found.lenses, fit.lenses) < _STRAIGHT:
+    if _cost_ratio(found.lenses.residuals(), whole) < _STRAIGHT:
         return found
     return fit
 
@@ -423,13 +425,11 @@ def _fit_any_shape(fit: Fit) -> Fit:
     return fit
 
 
-def _cost_ratio(squares: SquareMicroimages, whole: Microimages) -> float:
-    """Robust squared residual of the pixels with squares over that with a radial profile."""
-    own = squares.residuals()
-    residual, inside, _ = compare_pixels(whole.thin(_COMPARED))
+def _cost_ratio(own: Floats, *others: Floats) -> float:
+    """Robust squared residual (m,) of one model over the least one of other models."""
     most = (TUKEY_CUTOFF * robust_sigma(own)) ** 2
-    costs = [float(np.minimum(one**2, most).mean()) for one in (own, residual[inside])]
-    return costs[0] / max(costs[1], 1e-30)
+    cost, *rest = (float(np.minimum(one**2, most).mean()) for one in (own, *others))
+    return cost / max(min(rest), 1e-30)
 
 
 def _find_cut(tones: StackedCrops, plain: Fit, bent: Fit) -> TwoDiscs | None:
@@ -446,13 +446,8 @@ def _find_cut(tones: StackedCrops, plain: Fit, bent: Fit) -> TwoDiscs | None:
     if discs is None or discs.depth < _LEAST_CUT:
         return None
     # Two discs must explain the pixels better than whole microimages of any profile.
-    residuals = [discs.residuals(plain.lenses)]
-    for fit in (plain, bent):
-        residual, inside, _ = compare_pixels(fit.lenses)
-        residuals.append(residual[inside])
-    most = (TUKEY_CUTOFF * robust_sigma(residuals[0])) ** 2
-    by_discs, *whole = (float(np.minimum(one**2, most).mean()) for one in residuals)
-    if not by_discs < _MOST_COST * min(whole):
+    whole = [fit.lenses.residuals() for fit in (plain, bent)]
+    if not _cost_ratio(discs.residuals(plain.lenses), *whole) < _MOST_COST:
         return None
     # Where nothing is cut, in the middle, centroids are those of the lenses.
     usual = measure_centroid_offset(plain.lenses)

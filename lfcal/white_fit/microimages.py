@@ -26,7 +26,6 @@ from .kernel import Rings, Sums, Windows, add_lenses
 
 __all__ = [
     "Microimages",
-    "compare_pixels",
     "cut_out",
     "measure_centroid_offset",
     "measure_narrowing",
@@ -131,6 +130,19 @@ class Microimages:
         """(n, 1, k) `x` and (n, k, 1) `y` of the pixels relative to the centres [px]."""
         offset = (self.corners - self.centres)[:, :, None] + np.arange(self.light.shape[1])
         return offset[:, 0, None, :], offset[:, 1, :, None]
+
+    def in_cells(self) -> Booleans:
+        """(n, k, k) which pixels of the windows lie in the cells."""
+        x, y = self.places()
+        inside = np.ones(self.light.shape, dtype=bool)
+        for across, down in self.cell.normals:
+            inside &= across * x + down * y <= 0.5
+        return inside
+
+    def residuals(self) -> Floats:
+        """(m,) differences of the unclipped pixels in the cells from the model, over the gains."""
+        residual, inside, _ = compare_pixels(self)
+        return residual[inside]
 
     def sums(self) -> Sums:
         """Normal equations about this model.
@@ -302,9 +314,7 @@ def _mean_profile(lenses: Microimages) -> Floats:
     """(r,) mean radial profile of the lenses."""
     some = lenses.thin(ENOUGH_PIXELS)
     x, y = some.places()
-    inside = np.ones(some.light.shape, dtype=bool)
-    for across, down in some.cell.normals:
-        inside &= across * x + down * y <= 0.5
+    inside = some.in_cells()
     ring = np.rint(np.hypot(x, y)[inside] / _RING_STEP).astype(int)
     light = (some.light / some.gain[:, None, None])[inside]
     total, number = (np.bincount(ring, of, len(lenses.profile)) for of in (light, None))
@@ -357,13 +367,10 @@ def compare_pixels(lenses: Microimages) -> tuple[Floats, Booleans, Floats]:
         lenses.slope.T[..., None, None],
     )
     model = level + own * (shade_x * x + shade_y * y) + harmonic * (1 - 8 * (x * y / far**2) ** 2)
-    inside = lenses.light < saturation
-    for across, down in lenses.cell.normals:
-        inside &= across * x + down * y <= 0.5
     tilt = 1 + slope_x * x + slope_y * y
     return (
         lenses.light / (lenses.gain[:, None, None] * tilt) - model,
-        inside,
+        (lenses.light < saturation) & lenses.in_cells(),
         np.stack([slope, weight]),
     )
 

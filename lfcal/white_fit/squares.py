@@ -7,6 +7,7 @@ distance from the centre cannot follow straight edges. Edges have the closed for
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
 
@@ -15,7 +16,7 @@ import numpy as np
 from ..lattice.lattice import Lattice
 from ..lattice.robust_fit import TUKEY_CUTOFF, biweight
 from ..microimage.average import estimate_variance
-from ..microimage.edge import blurred_edge
+from ..microimage.edge import EdgeLight, blurred_edge, gaussian_edge
 from ..runtime.arrays import Floats, Integers
 from .kernel import Sums
 from .microimages import Microimages
@@ -32,6 +33,8 @@ _LEAST_BLUR = 0.1
 # lenses lie alike to the pixels, which cannot tell a narrow gap from a brighter one.
 _EXPECTED = np.array([0.0, 0.0, 0.3, 0.3, 0.01])
 _SPREADS = np.array([np.inf, np.inf, 0.3, 0.3, 0.02])
+# What blurs of a pixel, where the fit also begins, are beyond those.
+_SOFTER = np.array([0.0, 0.0, 0.7, 0.7, 0.0])
 # [px] Steps at which the light between edges is tabulated, and of distances from the border of the
 # cell at which the variance of pixels is measured.
 _STEP = 1 / 64
@@ -57,6 +60,7 @@ class SquareMicroimages(Microimages):
     sides: Floats  # (2, 2) unit vectors across the two pairs of edges
     widths: Floats  # (2,) [px] of the cell between them
     shape: Floats  # (5,) half the distances of the pairs [px], their blurs [px] and stray light
+    edge: Callable[..., EdgeLight] = blurred_edge
 
     @classmethod
     def of(cls, lenses: Microimages, lattice: Lattice) -> SquareMicroimages | None:
@@ -71,14 +75,24 @@ class SquareMicroimages(Microimages):
         # The slope of the light in a lens is measured where its edges are far.
         known["profile"] = np.ones_like(few.profile)
         known["ring_weight"] = np.ones(int(widths.max() / 2 / _RING_STEP) + 1)
-        found = cls(**known, sides=sides, widths=widths, shape=_EXPECTED.copy())
+        sharp = cls(**known, sides=sides, widths=widths, shape=_EXPECTED.copy())
         # Of gaps without light, the mean light is the lit part of the cell.
-        lit = float(found.compare().residual.mean())
-        found.shape[:2] = widths / 2 * np.sqrt(np.clip(lit, 0.5, 1))
+        lit = float(sharp.compare().residual.mean())
+        sharp.shape[:2] = widths / 2 * np.sqrt(np.clip(lit, 0.5, 1))
+        soft = replace(sharp, shape=sharp.shape + _SOFTER)
+        found = min(sharp, soft, key=_mean_residual)
         # Wide blurs need more passes; beside the true centres these can also lead away.
         first = found.learn_shape()
         later = first.learn_shape().learn_shape().learn_shape()
-        return min(first, later, key=lambda one: float(np.abs(one.residuals()).mean()))
+        return min(first, later, key=_mean_residual)
+
+    def choose_edge(self) -> SquareMicroimages:
+        """The microimages with edges that a Gaussian blurs if these are nearer to the pixels.
+
+        A lens out of focus blurs over a disc, aberrations and pixels over something like a Gaussian.
+        """
+        gaussian = replace(self, edge=gaussian_edge).learn_shape().learn_shape()
+        return min(self, gaussian, key=_mean_residual)
 
     def compare(self, near: float = _NEAR) -> _Comparison:
         """Compare the unclipped pixels in the cells, at most `near` [px] inside the edges."""
@@ -167,7 +181,7 @@ class SquareMicroimages(Microimages):
         away = _STEP * np.arange(int(self.widths[pair] / 2 / _STEP) + 3)
         # The light of the neighbours reaches into the gap.
         depth = half - np.array([away, self.widths[pair] - away])
-        seen = blurred_edge(depth, blur, float(np.abs(self.sides[pair]).max()))
+        seen = self.edge(depth, blur, float(np.abs(self.sides[pair]).max()))
         own, other = np.array(seen[:3]).transpose(1, 0, 2)
         light, by_depth, by_blur = own + other
         table = np.column_stack([light, other[1] - own[1], by_depth, by_blur])
@@ -176,3 +190,7 @@ class SquareMicroimages(Microimages):
         return np.asarray(
             table[before] + (place - before)[:, None] * np.diff(table, axis=0)[before]
         )
+
+
+def _mean_residual(squares: SquareMicroimages) -> float:
+    return float(np.abs(squares.residuals()).mean())

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
-from lfcal.microimage.edge import blurred_edge
+from lfcal.microimage.edge import blurred_edge, gaussian_edge
 
 _WIDTH = 1.1
 
@@ -50,3 +51,22 @@ def test_slopes_are_those_of_differences(blur):
         high = blurred_edge(d2, b2, _WIDTH, c2).light
         low = blurred_edge(d1, b1, _WIDTH, c1).light
         np.testing.assert_allclose(slope, (high - low) / 2e-6, atol=1e-6)
+
+
+def test_gaussian_edge_is_the_mean_of_a_normal_distribution_over_a_pixel():
+    depth = np.linspace(-3, 3, 25)
+    across = _WIDTH * ((np.arange(400) + 0.5) / 400 - 0.5)
+    light = norm.cdf((depth[:, None] + across) / 0.6).mean(1)
+    np.testing.assert_allclose(gaussian_edge(depth, 1.2, _WIDTH).light, light, atol=1e-6)
+
+
+@pytest.mark.parametrize("blur", [0.2, 1.1, 4.0])
+def test_slopes_of_a_gaussian_edge_are_those_of_differences(blur):
+    depth = np.linspace(-3, 3, 100)
+    seen = gaussian_edge(depth, blur, _WIDTH)
+    by_depth = gaussian_edge(depth + 1e-6, blur, _WIDTH).light
+    by_depth = (by_depth - gaussian_edge(depth - 1e-6, blur, _WIDTH).light) / 2e-6
+    np.testing.assert_allclose(seen.by_depth, by_depth, atol=1e-6)
+    by_blur = gaussian_edge(depth, blur + 1e-6, _WIDTH).light
+    by_blur = (by_blur - gaussian_edge(depth, blur - 1e-6, _WIDTH).light) / 2e-6
+    np.testing.assert_allclose(seen.by_blur, by_blur, atol=1e-6)

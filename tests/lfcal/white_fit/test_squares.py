@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.special import ndtr
 
 import lfcal
 
 
-def _draw(pitch: float, gap: float, degrees: float) -> tuple[np.ndarray, np.ndarray]:
-    """A white image with one random place in each of 36 parts of a pixel, and its true centres."""
+def _draw(
+    pitch: float, gap: float, degrees: float, sigma: float = 1e-9
+) -> tuple[np.ndarray, np.ndarray]:
+    """A white image with one random place in each of 36 parts of a pixel, and its true centres.
+
+    A Gaussian of standard deviation `sigma` [px] blurs the edges.
+    """
     rng = np.random.default_rng(5)
     size = (560, 440)
     angle = np.radians(degrees)
@@ -21,8 +27,10 @@ def _draw(pitch: float, gap: float, degrees: float) -> tuple[np.ndarray, np.ndar
         across = x + (part % 6 + rng.random(x.shape)) / 6 - 0.5 - origin[0]
         down = y + (part // 6 + rng.random(x.shape)) / 6 - 0.5 - origin[1]
         cells = np.stack([across, down], -1) @ np.linalg.inv(basis)
-        far = np.abs(cells - np.rint(cells)).max(-1) * pitch
-        light += (far < (pitch - gap) / 2) / 36
+        far = np.abs(cells - np.rint(cells)) * pitch
+        # The light of the neighbours reaches into the gap.
+        depth = (pitch - gap) / 2 - np.stack([far, pitch - far])
+        light += ndtr(depth / sigma).sum(0).prod(-1) / 36
     light = 0.02 + 0.98 * light
     light += 0.01 * np.sqrt(light) * rng.standard_normal(light.shape)
     index = np.stack(np.meshgrid(np.arange(-40, 41), np.arange(-40, 41)), -1).reshape(-1, 2)
@@ -42,3 +50,11 @@ def test_centres_of_square_cells_are_right_to_two_thousandths_of_a_pixel(pitch, 
     offset = lattice.points(np.rint(lattice.to_index(centres))) - centres
     assert np.sqrt((offset**2).sum(1).mean()) < 0.002
     assert camera.residual_rms < 0.02
+
+
+@pytest.mark.parametrize(("pitch", "gap"), [(35, 1), (35, 3), (35.3, 2)])
+def test_centres_of_cells_with_gaussian_edges_are_right_to_two_thousandths_of_a_pixel(pitch, gap):
+    white, centres = _draw(pitch, gap, 0, 0.7)
+    lattice = lfcal.calibrate(white, kind="white").lattice
+    offset = lattice.points(np.rint(lattice.to_index(centres))) - centres
+    assert np.sqrt((offset**2).sum(1).mean()) < 0.002
