@@ -164,9 +164,10 @@ def _search(
     """Candidates on the mean of the lights, and on each light if none is certain on the mean."""
     found: list[Candidate] = []
     error: CalibrationError | None = None
-    for picture in _pictures(lights, has_mosaic):
+    for number, picture in enumerate(_pictures(lights, has_mosaic)):
+        again = number > 0
         try:
-            found += find_candidates(picture, hint, stated_white=stated_white)
+            found += find_candidates(picture, hint, stated_white=stated_white, again=again)
         except CalibrationError as failure:
             error = error or failure
         if found and max(one.evidence.probability for one in found) > _LIKELY:

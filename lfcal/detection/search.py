@@ -74,12 +74,15 @@ def find_candidates(
     hint: LatticeHint | None = None,
     thorough: bool = False,
     stated_white: float = 0.0,
+    again: bool = False,
 ) -> list[Candidate]:
     """Lattices that may be on a picture (h, w), the square root of the luminance, the most probable
     first.
 
     A certain one ends the search; a `thorough` one measures all periods and centres, at the full
-    size. `stated_white` is 1 if the flat is stated to be a white image, else 0.
+    size. `stated_white` is 1 if the flat is stated to be a white image, else 0. `again`
+    if the flat was searched in other tones before: what repeats at half the size is then not looked
+    for at the full size.
 
     Raises
     ------
@@ -103,7 +106,8 @@ def find_candidates(
             for one in small
             if one.lattice.pitch >= _HALVED
         ]
-    if not any(one.evidence.is_certain or _is_clear(one) for one in found):
+    done = any(one.evidence.is_certain or _is_clear(one) for one in found)
+    if not done and not (again and found):
         found += _search(FlatFeatures(picture, stated_white), hint, thorough, most=most)
     if found:
         return sorted(found, key=lambda one: -one.evidence.rank)

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..images.preprocessing import edge_strength, normalise_locally
+from ..images.preprocessing import normalise_locally
 from ..lattice.lattice import reduce_basis, shorten_bases
 from ..lattice.robust_fit import robust_sigma
 from ..runtime.arrays import Booleans, Floats, Singles
@@ -228,20 +228,17 @@ def _find_supported(features: FlatFeatures) -> Iterator[Floats]:
     Longer periods and those that stand out in few bins alone are looked for once the first has been
     refused.
     """
-    picture = features.picture
+    smaller = features
     first: list[Candidate] = []
     spectra = []
     for reduction in (1, 2, 4):
         if reduction > 1:
-            smaller: Any = cv2.resize(
-                features.picture,
-                None,
-                fx=1 / reduction,
-                fy=1 / reduction,
-                interpolation=cv2.INTER_AREA,
+            scale = 1 / reduction
+            reduced: Any = cv2.resize(
+                features.picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA
             )
-            picture = smaller
-        log_power = _log_power([picture, edge_strength(picture)])
+            smaller = FlatFeatures(reduced)
+        log_power = _log_power([smaller.picture, smaller.edges])
         if log_power is None:
             break
         spectra.append((log_power, reduction))

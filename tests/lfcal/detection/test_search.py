@@ -4,6 +4,8 @@ improbable.
 
 from __future__ import annotations
 
+from dataclasses import MISSING, fields
+
 import cv2
 import numpy as np
 import pytest
@@ -15,11 +17,14 @@ from benchmarks.lattices.judgement import compare_with_centres
 from benchmarks.lattices.random_cameras import draw_camera
 from benchmarks.no_flats import draw_no_flat
 from data_synth import SCENES, Camera, simulate
+from lfcal.camera.evidence import Evidence
+from lfcal.detection import search
 from lfcal.detection.cell_maps import measure_classes
 from lfcal.detection.features import FlatFeatures
 from lfcal.detection.neighbours import measure_likeness
 from lfcal.detection.search import find_candidates
 from lfcal.images.preprocessing import sqrt_luminance
+from lfcal.lattice.lattice import Lattice
 
 
 @pytest.mark.parametrize(
@@ -166,6 +171,24 @@ def test_long_narrow_cells_are_not_measured():
     found = find_candidates(bars.astype(np.float32).clip(0) + 0.2)
     sides = [np.hypot(*one.lattice.basis.T) for one in found]
     assert all(side.max() < 5 * side.min() for side in sides)
+
+
+def test_other_tones_of_a_large_flat_are_not_searched_at_full_size_again(monkeypatch):
+    names = [one.name for one in fields(Evidence) if one.default is MISSING]
+    doubted = Evidence(**dict.fromkeys(names, 0.0))
+    lattice = Lattice(np.zeros(2), 20.0 * np.eye(2), (1000, 800), 10.0)
+    sizes = []
+
+    def refuse(features, *_, **__):
+        sizes.append(features.picture.shape)
+        return [search.Candidate(lattice, doubted, features, None)]
+
+    monkeypatch.setattr(search, "_search", refuse)
+    picture = np.random.default_rng(0).random((1600, 2000)).astype(np.float32)
+    find_candidates(picture)
+    assert sizes == [(800, 1000), (1600, 2000)]
+    find_candidates(picture, again=True)
+    assert sizes[2:] == [(800, 1000)]
 
 
 def test_half_a_cell_away_parallax_and_circles_are_fewer(house):
