@@ -4,26 +4,20 @@ distance to it.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
-from ..lattice.cell import bin_offsets
+from ..lattice.cell import bin_offsets, cell_side
 from ..runtime.arrays import Floats
 
-__all__ = ["CentreGuess", "find_round_centres"]
+__all__ = ["find_round_centres"]
 
 
-class CentreGuess(NamedTuple):
-    """A possible microimage centre."""
-
-    position: Floats  # (2,) fractional lattice coordinates, 0..1
-    roundness: float  # share of the variance of the cell that the distance to it explains, 0..1
-
-
-def find_round_centres(cells: list[Floats], basis: Floats) -> list[CentreGuess]:
+def find_round_centres(cells: list[Floats], basis: Floats) -> list[Floats]:
     """Up to four points about which the average cells (bins, bins) are round, roundest first, 0.3
     pitch apart.
+
+    Points (2,) are in fractional lattice coordinates, 0..1. Cells are round as far as the distance
+    to the point explains their variance.
     """
     bins = cells[0].shape[0]
     distance = _distance_to_corner(basis, bins)
@@ -40,15 +34,12 @@ def find_round_centres(cells: list[Floats], basis: Floats) -> list[CentreGuess]:
                 sums = np.fft.ifft2(spectrum * np.conj(np.fft.fft2(mask.astype(float)))).real
                 explained += sums**2 / mask.sum()
         roundness += explained / max((g * g).sum(), 1e-30)
-    roundness /= len(cells)
-    pitch = np.sqrt(abs(np.linalg.det(basis)))
-    guesses: list[CentreGuess] = []
-    remaining = roundness.copy()
-    while len(guesses) < 4 and remaining.max() > 0:
-        row, column = np.unravel_index(int(remaining.argmax()), remaining.shape)
-        position = (np.array([column, row]) + 0.5) / bins
-        guesses.append(CentreGuess(position, float(remaining[row, column])))
-        remaining[np.roll(distance, (row, column), axis=(0, 1)) < 0.3 * pitch] = 0
+    pitch = cell_side(basis)
+    guesses: list[Floats] = []
+    while len(guesses) < 4 and roundness.max() > 0:
+        row, column = np.unravel_index(int(roundness.argmax()), roundness.shape)
+        guesses.append((np.array([column, row]) + 0.5) / bins)
+        roundness[np.roll(distance, (row, column), axis=(0, 1)) < 0.3 * pitch] = 0
     return guesses
 
 

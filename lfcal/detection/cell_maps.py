@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..lattice.cell import bin_offsets, cell_distances
+from ..lattice.cell import bin_offsets, cell_distances, cell_side
 from ..runtime.arrays import Booleans, Floats
 from .features import FlatFeatures
 from .folding import BINS, CELL_TILES, TileFolds, fold_lit_tiles, fold_tiles, measure_repeatability
@@ -58,7 +58,7 @@ class CellMaps:
     @classmethod
     def measure(cls, features: FlatFeatures, basis: Floats) -> CellMaps:
         """Maps of the lattice with this basis on a flat."""
-        pitch = float(np.sqrt(abs(np.linalg.det(basis))))
+        pitch = cell_side(basis)
         side = tile_side(features, pitch)
         brightness, edges = features.levelled(pitch)
         tiles = fold_lit_tiles(features.picture, [brightness, edges], basis, side)
@@ -84,7 +84,7 @@ class CellMaps:
 
 def estimate_explained(features: FlatFeatures, basis: Floats) -> float:
     """`CellMaps.explained` of a lattice, by a sample of the tiles, dark ones too: to rank bases."""
-    pitch = float(np.sqrt(abs(np.linalg.det(basis))))
+    pitch = cell_side(basis)
     brightness = features.levelled(pitch)[0]
     pictures = [brightness, brightness**2]
     side = tile_side(features, pitch)
@@ -113,7 +113,7 @@ def measure_classes(features: FlatFeatures, basis: Floats) -> CellClasses:
     types differ in the sharpness of their rims, so that only the mean and the first harmonics of
     a cell count.
     """
-    pitch = float(np.sqrt(abs(np.linalg.det(basis))))
+    pitch = cell_side(basis)
     brightness = features.levelled(pitch)[0]
     a, b = basis
     found = []

@@ -100,14 +100,7 @@ def add_parallax(evidence: Evidence, picture: Singles, lattice: Lattice) -> Evid
     tones = measure_tones(picture, lattice)
     if likeness is None or tones is None:
         return evidence
-    return replace(
-        evidence,
-        **likeness._asdict(),
-        inside=float(np.log(tones.inside + 1e-3)),
-        detail=float(np.log(max(tones.detail, 1.0))),
-        between=float(np.log(tones.between + 1e-3)),
-        unlike=tones.unlike,
-    )
+    return replace(evidence, **likeness._asdict(), **tones._asdict())
 
 
 def _roundness(cell: Floats, parts: CellParts) -> float:

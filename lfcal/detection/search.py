@@ -16,6 +16,7 @@ import numpy as np
 from ..camera.evidence import Evidence
 from ..camera.proofs import is_one_lens
 from ..hough.circle_vote import OVERLAPPING, find_circles, find_marks
+from ..lattice.cell import cell_side
 from ..lattice.lattice import Lattice, reduce_basis
 from ..lattice.stated import LatticeHint
 from ..runtime.arrays import Floats, Singles
@@ -269,7 +270,7 @@ def _refine_period(features: FlatFeatures, basis: Floats, most: float = np.inf) 
     """
     if np.hypot(*basis.T).min() > most:
         return basis
-    pitch = float(np.sqrt(abs(np.linalg.det(basis))))
+    pitch = cell_side(basis)
     levelled = list(features.levelled(pitch))
     refined = refine_basis(
         fold_lit_tiles(features.picture, levelled, basis, tile_side(features, pitch))
@@ -366,16 +367,14 @@ def _propose_centres(maps: CellMaps, lines: list[LineProfile]) -> list[Floats]:
     """Centres (2,) in fractional coordinates: round places, cells between steps, half cells; none
     if the average cell is even.
     """
-    guesses = [
-        guess.position for guess in find_round_centres([maps.brightness, maps.edges], maps.basis)
-    ]
+    guesses = find_round_centres([maps.brightness, maps.edges], maps.basis)
     if not guesses:
         return []
     first = guesses[0]
     guesses.append(_between_steps(maps))
     guesses.append((np.array([one.strongest for one in lines]) + 0.5) % 1)
     guesses += [(first + shift) % 1 for shift in ((0.5, 0.0), (0.0, 0.5), (0.5, 0.5))]
-    pitch = float(np.sqrt(abs(np.linalg.det(maps.basis))))
+    pitch = cell_side(maps.basis)
     distinct: list[Floats] = []
     for guess in guesses:
         away = [((guess - other + 0.5) % 1 - 0.5) @ maps.basis for other in distinct]

@@ -30,15 +30,17 @@ _CENTRAL = 0.4
 _LIT = 0.09
 #: Relative difference of light that makes a lens unlike its neighbours.
 _UNLIKE = 0.1
+#: Scatter that is added before logarithms are taken.
+_LEAST = 1e-3
 
 
 class Tones(NamedTuple):
-    """Scatter of the light of microimages, relative to the light."""
+    """Scatter of the light of microimages, relative to the light: logarithms, but for a share."""
 
     inside: float  # standard deviation inside the typical lit microimage, without what all share
     # robust standard deviation from what the neighbours on both sides have, beyond noise
     between: float
-    detail: float  # the same in lenses with much detail (95 %), over that in typical ones
+    detail: float  # that inside lenses with much detail (95 %), over that in typical ones
     unlike: float  # share of lenses that differ from their neighbours by `_UNLIKE`, beyond noise
 
 
@@ -67,8 +69,8 @@ def measure_tones(picture: Singles, lattice: Lattice) -> Tones | None:
     inside, most = np.quantile(scatter, (0.5, 0.95))
     if most == 0:
         # Spots, or masks without noise: their tones are those of the pixels that samples fall on.
-        return Tones(0.0, 0.0, 1.0, 0.0)
-    detail = float(most / max(float(inside), 1e-6))
+        return Tones(float(np.log(_LEAST)), float(np.log(_LEAST)), 0.0, 0.0)
+    detail = float(np.log(max(float(most / max(float(inside), 1e-6)), 1.0)))
     types = indices[:, 0] % _PERIOD * _PERIOD + indices[:, 1] % _PERIOD
     bends = []
     for step in steps[: len(steps) // 2]:
@@ -88,7 +90,8 @@ def measure_tones(picture: Singles, lattice: Lattice) -> Tones | None:
     noise = float(inside) / np.sqrt(len(core))
     between = float(np.sqrt(max(between**2 - noise**2, 0.0)))
     unlike = bend > np.hypot(_UNLIKE, 2 * np.sqrt(6) * noise)
-    return Tones(float(inside), between, detail, float(unlike.mean()))
+    inside = float(np.log(float(inside) + _LEAST))
+    return Tones(inside, float(np.log(between + _LEAST)), detail, float(unlike.mean()))
 
 
 def _scatter_inside(shape: Floats, core: Floats) -> Floats:
@@ -133,6 +136,4 @@ def is_white_image(picture: Singles, lattice: Lattice) -> bool:
     tones = measure_tones(picture, lattice)
     if tones is None:
         return False
-    inside = float(np.log(tones.inside + 1e-3))
-    detail = float(np.log(max(tones.detail, 1.0)))
-    return white_probability(inside, detail, tones.unlike) > 0.5
+    return white_probability(tones.inside, tones.detail, tones.unlike) > 0.5

@@ -14,7 +14,7 @@ from ..camera.calibration import Calibration
 from ..lattice.lattice import Lattice, describe_orientation
 from ..runtime.arrays import Array
 from ..runtime.errors import CAMERA_ADVICE, CameraError, check_type
-from .compare import REGIONS, nine_places
+from .compare import REGIONS, nine_places, scale_and_rotation
 from .flat_lattice import SeenLattice, measure_camera
 from .misfit import MOST_SHIFT, MOST_STRETCH
 
@@ -147,11 +147,9 @@ def find_problem(lattice: Lattice, seen: SeenLattice) -> str | None:
     if misfit is None:
         return _describe_other(lattice, seen.lattice)
     if not misfit.is_straight:
-        step = np.eye(2) + misfit.linear
-        scale = 100 * (float(np.sqrt(abs(np.linalg.det(step)))) - 1)
-        turn = float(np.degrees(np.arctan2(step[0, 1] - step[1, 0], np.trace(step))))
+        scale, turn = scale_and_rotation(np.eye(2) + misfit.linear)
         return (
-            f"the pitch on the flat is {scale:+.2f} % and its rotation {turn:+.2f} degrees "
+            f"the pitch on the flat is {100 * (scale - 1):+.2f} % and its rotation {turn:+.2f} degrees "
             f"from the camera; {_REMEDY}"
         )
     if misfit.distance > MOST_SHIFT:

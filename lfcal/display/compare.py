@@ -10,7 +10,7 @@ from ..camera.calibration import Calibration
 from ..runtime.arrays import Floats, Frozen
 from ..runtime.errors import CAMERA_ADVICE, CalibrationError, check_type
 
-__all__ = ["REGIONS", "LatticeDifference", "compare", "nine_places"]
+__all__ = ["REGIONS", "LatticeDifference", "compare", "nine_places", "scale_and_rotation"]
 
 #: Names of corners, edge middles and middle of a flat, in rows from the top.
 REGIONS = [
@@ -62,6 +62,14 @@ def nine_places(image_size: tuple[int, int]) -> Floats:
     return np.stack(np.meshgrid(*(np.linspace(0, side - 1, 3) for side in image_size)), axis=-1)
 
 
+def scale_and_rotation(matrix: Floats) -> tuple[float, float]:
+    """Scale of a linear map (2, 2) of row vectors, and its rotation [degrees], clockwise on the
+    screen.
+    """
+    turn = np.arctan2(matrix[0, 1] - matrix[1, 0], np.trace(matrix))
+    return float(np.sqrt(abs(np.linalg.det(matrix)))), float(np.degrees(turn))
+
+
 def compare(a: Calibration, b: Calibration) -> LatticeDifference:
     """Compare the centres of two calibrations over flats of one size.
 
@@ -103,16 +111,15 @@ def compare(a: Calibration, b: Calibration) -> LatticeDifference:
     # A plane through the differences gives scale and rotation.
     design = np.column_stack([np.ones(len(centres)), centres])
     matrix = np.eye(2) + np.linalg.lstsq(design, offset, rcond=None)[0][1:]
+    scale, turn = scale_and_rotation(matrix)
     positions = nine_places(a.image_size)
     lengths = np.hypot(*offset.T)
     return LatticeDifference(
         rms=float(np.sqrt(np.mean(lengths**2))),
         max=float(lengths.max()),
         mean_shift=offset.mean(0),
-        scale=float(np.sqrt(abs(np.linalg.det(matrix)))),
-        rotation_degrees=float(
-            np.degrees(np.arctan2(matrix[0, 1] - matrix[1, 0], np.trace(matrix)))
-        ),
+        scale=scale,
+        rotation_degrees=turn,
         positions=positions,
         field=difference(positions.reshape(-1, 2)).reshape(3, 3, 2),
     )

@@ -174,7 +174,7 @@ def confirm_by_middle(picture: Singles, given: Lattice) -> Misfit | None:
         if seen.evidence.borders > TOUCHING:
             place = fit_touching_cells(seen.features.steps, straight.basis).origin
         else:
-            centre = find_round_centres([maps.brightness, maps.edges], maps.basis)[0].position
+            centre = find_round_centres([maps.brightness, maps.edges], maps.basis)[0]
             place = centre @ straight.basis
         index = straight.to_index(place[None] + (left, top))
         beside = nearest_offsets(index, straight.basis)

@@ -14,6 +14,7 @@ __all__ = [
     "Cell",
     "bin_offsets",
     "cell_distances",
+    "cell_side",
     "is_outside_cell",
     "nearest_offsets",
     "row_interval",
@@ -68,6 +69,11 @@ class Cell(NamedTuple):
             else:
                 sides[6, 0] = max(sides[6, 0], 0.5 / y)
         return sides
+
+
+def cell_side(basis: Floats) -> float:
+    """Side [px] of the square that is as large as a cell of a basis (2, 2) [px]."""
+    return float(np.sqrt(abs(np.linalg.det(basis))))
 
 
 def nearest_offsets(index: Floats, basis: Floats) -> Floats:
