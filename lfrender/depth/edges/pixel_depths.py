@@ -177,7 +177,7 @@ def _measure_lens(
         work,
     )
     if choice:
-        allow_mismatch(work.light, stride, size * stride, noise2, work.allowed)
+        allow_mismatch(work.light, stride, size * stride, noise2, lenses.pitch, work.allowed)
         known = before.reshape(-1)
         for k in range(number):
             compare_depth(pixels, shape, lens, k, left, top, size, stride, lenses, known, work)

@@ -9,9 +9,9 @@ from lfrender.depth.edges.comparison import allow_mismatch
 STRIDE = 16
 
 
-def allowed(light, noise2=0.01):
+def allowed(light, noise2=0.01, pitch=30.0):
     out = np.zeros(light.size, np.float32)
-    allow_mismatch(light.ravel(), STRIDE, light.size, np.float32(noise2), out)
+    allow_mismatch(light.ravel(), STRIDE, light.size, np.float32(noise2), pitch, out)
     return out.reshape(light.shape)
 
 
@@ -39,3 +39,12 @@ def test_even_light_allows_noise_only():
     np.testing.assert_allclose(
         allowed(np.full((8, STRIDE), 0.3, np.float32))[1:-1], 0.01, rtol=1e-5
     )
+
+
+def test_microimages_of_half_the_pitch_are_allowed_half_of_the_scatter():
+    light = np.random.default_rng(2).random((12, STRIDE), np.float32)
+    inner = (slice(1, -1), slice(1, -1))
+    whole = allowed(light, pitch=25.0)[inner]
+    half = allowed(light, pitch=12.5)[inner]
+    np.testing.assert_allclose(half - 0.01, 0.5 * (whole - 0.01), rtol=1e-3)
+    np.testing.assert_array_equal(allowed(light, pitch=70.0)[inner], whole)
