@@ -181,7 +181,7 @@ def forms_of(house):
 
 
 def test_all_forms_of_a_scene_give_jpegs_of_one_brightness(house, tmp_path):
-    depth = lfrender.analyze(house.flat, house.truth.calibration, "fast")
+    depth = lfrender.analyze(house.flat, house.truth.calibration, "balanced")
     means = {}
     for name, (flat, camera) in forms_of(house).items():
         picture = lfrender.render(flat, camera, depth, scale=6, detail="off")
