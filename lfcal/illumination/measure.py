@@ -20,6 +20,7 @@ from .profiles import (
     average_vignetting,
     fit_scene_profiles,
     fit_type_profiles,
+    order_by_rims,
 )
 from .residuals import draw_sample
 
@@ -87,7 +88,9 @@ def measure_illumination(
             sample = draw_sample(lattice, picture, ENOUGH_PIXELS, False, _ROWS)
             pixels = ProfilePixels.of(sample, gain)
         if not warnings:
-            gain = fit_type_profiles(pixels, radius, gain, types)
+            gain = fit_type_profiles(pixels, radius, gain, types, not white)
+    if white:
+        types, gain = order_by_rims(types, gain, radius)
     source = picture if read_crop is None else read_crop
     assert not isinstance(source, StackedCrops)
     if white:

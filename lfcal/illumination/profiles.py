@@ -34,6 +34,7 @@ __all__ = [
     "average_vignetting",
     "fit_scene_profiles",
     "fit_type_profiles",
+    "order_by_rims",
 ]
 
 # Weight of rings without pixels in the fit of a falling profile, over that of the fullest one.
@@ -79,8 +80,8 @@ class ProfilePixels(NamedTuple):
 
     def sum_windows(
         self, gain: GainMap, types: NDArray[np.int8], core: float
-    ) -> tuple[Floats, Floats]:
-        """Light over that of the core (w, t, k), and its weight.
+    ) -> tuple[Floats, Floats, Floats]:
+        """Light over that of the core (w, t, k), its weight, and the level of the core (w, t).
 
         Windows without light are left out.
 
@@ -101,7 +102,7 @@ class ProfilePixels(NamedTuple):
         # A lens has few pixels in its middle: their mean would be noisier than those around it.
         for sums in (light, weight):
             sums[..., radii < 1.5] = sums[..., radii < 1.5].mean(-1, keepdims=True)
-        return light[bright] / level[bright][..., None], weight[bright]
+        return light[bright] / level[bright][..., None], weight[bright], level[bright]
 
 
 def _shrunk_mean(values: Floats, weight: Floats) -> Floats:
@@ -139,7 +140,7 @@ def fit_scene_profiles(found: ProfilePixels, gain: GainMap) -> SceneProfiles:
 
     types = np.zeros(len(found.sample.field), np.int8)
     core = CORES[0] * gain.radius
-    light, weight = found.sum_windows(gain, types, core)
+    light, weight, _ = found.sum_windows(gain, types, core)
     pixels = weight.sum((0, 1))
     mean = gain.profile
     shown = len(light) >= _FEWEST_WINDOWS
@@ -163,15 +164,18 @@ def fit_scene_profiles(found: ProfilePixels, gain: GainMap) -> SceneProfiles:
 
 
 def fit_type_profiles(
-    found: ProfilePixels, radius: float, gain: GainMap, types: LensTypes
+    found: ProfilePixels, radius: float, gain: GainMap, types: LensTypes, scene: bool
 ) -> GainMap:
-    """Add the light of each lens type to the gain map, over that in its middle.
+    """Add the light of each lens type to the gain map.
 
-    The map is returned unchanged if the types do not differ significantly. `radius` [px] is the
-    usable one.
+    The map is returned unchanged if the types do not differ significantly.
+
+    `radius` [px] is the usable one; on a white image the light of each lens is in the map.
     """
-    light, weight = found.sum_windows(gain, types.of(found.sample.indices), 0.5 * radius)
-    if light.shape[1] != types.count or len(light) < _FEWEST_WINDOWS:
+    sample = found.sample
+    kinds = types.of(sample.indices)
+    light, weight, level = found.sum_windows(gain, kinds, 0.5 * radius)
+    if level.shape[1] != types.count or len(level) < _FEWEST_WINDOWS:
         return gain
     wide = 2 * (round(_SMOOTH / gain.step) // 2) + 1
     edge = ((0, 0), (0, 0), (wide // 2, wide // 2))
@@ -186,10 +190,37 @@ def fit_type_profiles(
     # Rims are measured as far as there is light in them.
     last = np.flatnonzero((weight.sum((0, 1)) > 0) & (gain.profile > 0.25))[-1]
     factor[:, last:] = factor[:, [last]]
+    if scene:
+        number = least[..., radii < 0.5 * radius].sum(-1)
+        factor *= 1 + _shrunk_mean(level / level.mean(1, keepdims=True) - 1, number)[:, None]
     factor = np.clip(factor, 0.5, 2)
     if np.abs(factor[:, radii < radius] - 1).max() < _LEAST:
         return gain
     return replace(gain, type_light=factor, type_cell=types.cell)
+
+
+def order_by_rims(
+    types: LensTypes | None, gain: GainMap, radius: float
+) -> tuple[LensTypes | None, GainMap]:
+    """Order the lens types of a white image from soft rims to hard ones.
+
+    Returns the types and their gain map. Types whose rims do not differ stay in their order.
+
+    Rims are images of the main aperture, at `s = 0`: the farther from that a type is focused, the
+    softer is its rim, and the less light is left before it (`radius` [px]: usable).
+    """
+    if types is None or not types.ordered or not gain.type_light.size:
+        return types, gain
+    rims = gain.type_rims(radius)
+    rims = rims[:, np.ptp(rims, axis=0).argmax()]
+    order = np.argsort(rims)
+    if np.diff(rims[order]).min() < _LEAST:
+        return types, gain
+    cell = np.argsort(order)[types.cell].astype(np.int8)
+    ordered = LensTypes(
+        cell, True, types.focus[order] if types.focus is not None else None, types.confidence
+    )
+    return ordered, replace(gain, type_light=gain.type_light[order], type_cell=cell)
 
 
 def average_vignetting(gain: GainMap, lattice: Lattice) -> tuple[Vignetting, float]:

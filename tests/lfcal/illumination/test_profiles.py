@@ -17,6 +17,7 @@ from lfcal.illumination.profiles import (
     average_vignetting,
     fit_scene_profiles,
     fit_type_profiles,
+    order_by_rims,
 )
 from lfcal.illumination.residuals import draw_sample
 
@@ -44,7 +45,7 @@ def _flat(gain: GainMap, contrast: float) -> np.ndarray:
 def _fit_types(picture: np.ndarray) -> GainMap:
     gain = GainMap.round(np.ones(60), _STEP, 9)
     pixels = ProfilePixels.of(draw_sample(_LATTICE, picture, 1e6, True, 2), gain)
-    return fit_type_profiles(pixels, _LATTICE.radius, gain, _TYPES)
+    return fit_type_profiles(pixels, _LATTICE.radius, gain, _TYPES, True)
 
 
 @pytest.mark.parametrize("seed", [2, 3, 4])
@@ -120,6 +121,21 @@ def test_light_of_three_types_is_told_apart_to_one_and_a_half_per_cent_on_scenes
 def test_types_that_are_lit_alike_have_one_profile():
     found = _fit_types(_flat(_typed(0), 0.1))
     assert found.type_light.size == 0
+
+
+def test_types_of_white_images_are_numbered_from_soft_rims_to_hard_ones():
+    gain = _typed(0.1)
+    shuffled = np.array([2, 0, 1], np.int8)[_TYPES.cell]
+    types, found = order_by_rims(
+        LensTypes(shuffled, True),
+        replace(gain, type_cell=shuffled, type_light=gain.type_light[[1, 2, 0]]),
+        9,
+    )
+    assert (
+        types.ordered
+        and np.array_equal(types.cell, _TYPES.cell)
+        and np.array_equal(found.type_light, gain.type_light)
+    )
 
 
 def test_vignetting_of_lenses_that_are_only_seen_at_their_rims_is_finite():
