@@ -54,9 +54,9 @@ def measure_evidence(
     border = parts.border
     content = maps.variance[middle].mean() + 1e-3
     content_beside = maps.variance[border].mean() + 1e-3
+    likeness = half_cell_likeness(maps.brightness)
     counts = [_count_marks(one, lattice) for one in marks]
     # Bright gaps have peaks of their own; only lenses have round rims.
-    likeness = half_cell_likeness(maps.brightness)
     rims_beside = counts[0][1] > max(counts[0][0], _RIMS_BESIDE)
     own, beside = counts[0] if rims_beside else max(counts)
     return Evidence(
