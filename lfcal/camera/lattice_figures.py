@@ -73,6 +73,8 @@ class LatticeFigures:
     classes : float
         Share of the average cell in which two or three classes of rows or diagonals differ, as
         lenses and gaps do in half or a third of the cell of an array.
+    irregularity : float
+        How far the basis is from that of a square or hexagonal array, over its length.
     fit_halves : float or None [pitch]
         `halves` of the final fit, and how far that has moved the lattice; None before it.
     inside : float
@@ -107,6 +109,7 @@ class LatticeFigures:
     still: float = 0.0
     continued: float = 0.0
     classes: float = 0.0
+    irregularity: float = 0.0
     fit_halves: float | None = None
     inside: float = 0.0
     detail: float = 0.0

@@ -93,6 +93,10 @@ _GOES_ON = _Ramp(0.1, 0.3)  # refutes meshes 7107 to 7269, windows 7162
 # [pitch] difference of the lattices of two halves of the flat: not content of Letras and
 # touching_cells.
 _HALVES = _Ramp(0.015, 0.05)
+# Arrays have 0.009 at most, or more than this: not content of Letras, whose pitch differs from that
+# of the lenses in one direction alone.
+_UNEQUAL = _Ramp(0.009, 0.014)
+_OTHER_ARRAY = _Ramp(0.05, 0.1)
 # Strengths of the proofs by shape and by content, as products of several shares.
 _SHAPE_PROOF = _Ramp(0.1, 0.7)
 _CONTENT_PROOF = _Ramp(0.5, 0.85)
@@ -184,15 +188,17 @@ def is_everywhere(figures: LatticeFigures) -> float:
     """How far what repeats is that of the array, 0 to 1.
 
     Content that repeats with next to no parallax has a lattice of its own, slightly larger or
-    smaller: it matches without a shift, and changes across the flat. Rims and straight borders
-    that show on all sides of the cells are no content.
+    smaller: it matches without a shift, and changes across the flat. Content that moves in one
+    direction alone stretches a regular array by a few percent. Rims and straight borders that
+    show on all sides of the cells are no content.
     """
     moved = figures.parallax - figures.still
     circles = _RIMS(figures.circles) * _ROUND(figures.roundness)
     circles *= _SOME_OUTLINE(figures.outline)
     rims = max(_PLAIN_BORDERS(figures.borders), circles)
-    content = (1 - _MOVED(moved)) * (1 - rims)
-    return 1 - content * (1 - _REPEATS(figures.repeats))
+    content = (1 - _MOVED(moved)) * (1 - _REPEATS(figures.repeats))
+    nearly_regular = _UNEQUAL(figures.irregularity) * (1 - _OTHER_ARRAY(figures.irregularity))
+    return 1 - max(content, nearly_regular) * (1 - rims)
 
 
 def is_one_lens(figures: LatticeFigures) -> float:

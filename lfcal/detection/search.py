@@ -17,7 +17,7 @@ from ..camera.evidence import Evidence
 from ..camera.proofs import is_one_lens
 from ..hough.circle_vote import OVERLAPPING, find_circles, find_marks
 from ..lattice.cell import cell_side
-from ..lattice.lattice import Lattice, reduce_basis
+from ..lattice.lattice import Lattice, irregularity, reduce_basis
 from ..lattice.stated import LatticeHint
 from ..runtime.arrays import Floats, Singles
 from ..runtime.errors import CalibrationError
@@ -349,6 +349,7 @@ def _complete(rough: Candidate, fitted: Lattice, half_difference: float) -> Cand
         rough.evidence,
         halves=halves,
         classes=classes.share,
+        irregularity=irregularity(fitted.basis),
         stated_white=rough.features.stated_white,
     )
     coarser = None if is_one_lens(evidence) > 0.5 else reduce_basis(classes.basis)

@@ -102,7 +102,7 @@ def _scatter_inside(shape: Floats, core: Floats) -> Floats:
     compared; spots of a few pixels in the middle show nothing at all.
     """
     common = np.median(shape, axis=0)
-    bright = common > 0.9 * common.max()
+    bright = common >= 0.9 * common.max()
     plane = np.column_stack([np.ones(len(core)), core])
     if bright.sum() <= plane.shape[1]:
         far = np.hypot(*core[bright].mean(0))

@@ -28,7 +28,14 @@ _CHUNK = 1 << 20
 # Share of a side, and cosine, up to which a cell counts as square.
 _TOLERANCE = 0.03
 
-__all__ = ["Lattice", "describe_orientation", "reduce_basis", "shorten_bases"]
+__all__ = [
+    "Lattice",
+    "describe_orientation",
+    "irregularity",
+    "nearest_regular_ratio",
+    "reduce_basis",
+    "shorten_bases",
+]
 
 
 def shorten_bases(pairs: ArrayLike) -> Floats:
@@ -51,6 +58,32 @@ def shorten_bases(pairs: ArrayLike) -> Floats:
             break
         bases = np.stack([a, np.where(moves[:, None], shorter, b)], axis=1)
     return bases
+
+
+def nearest_regular_ratio(basis: Floats) -> complex:
+    """`a2 / a1` of the square or hexagonal array that is next to a reduced basis (2, 2), as complex
+    numbers `x + iy`.
+
+    Examples
+    --------
+    >>> nearest_regular_ratio(np.array([[20.0, 0.0], [0.0, 21.0]]))
+    1j
+    """
+    a1, a2 = basis @ [1, 1j]
+    regular = (complex(0.5, 0.75**0.5), 1j)
+    return min(regular, key=lambda ratio: abs(complex(a2 / a1) - ratio))
+
+
+def irregularity(basis: Floats) -> float:
+    """How far a reduced basis (2, 2) is from that of a square or hexagonal array, over its length.
+
+    Examples
+    --------
+    >>> round(irregularity(np.array([[20.0, 0.0], [0.0, 21.0]])), 3)
+    0.05
+    """
+    a1, a2 = basis @ [1, 1j]
+    return abs(complex(a2 / a1) - nearest_regular_ratio(basis))
 
 
 def reduce_basis(basis: ArrayLike) -> Floats:

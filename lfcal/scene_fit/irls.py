@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 from numba import njit
 
+from ..lattice.lattice import irregularity, nearest_regular_ratio
 from ..lattice.lens_subset import sample_mask
 from ..runtime.arrays import Booleans, Floats
 from ..runtime.kernels import kernel
@@ -273,11 +274,9 @@ def find_regular_ratio(basis: Floats, shifts: LensShifts) -> complex | None:
     An F-test of the fit that is bound to the regular array against the free one; a scene has a
     dozen parts with independent errors, whatever the number of lenses. Arrays are made to 1e-4.
     """
-    a1, a2 = basis @ [1, 1j]
-    ratio = complex(a2 / a1)
-    regular = min((complex(np.exp(1j * np.pi / 3)), 1j), key=lambda value: abs(ratio - value))
-    if abs(ratio - regular) > 0.003:
+    if irregularity(basis) > 0.003:
         return None
+    regular = nearest_regular_ratio(basis)
     found = [_solve_from_all(replace(shifts, regular=known)) for known in (None, regular)]
     least = min(variance for _, _, variance in found)
     free, bound = (_cost(shifts, change, least) for change, _, _ in found)

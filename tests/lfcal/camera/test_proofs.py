@@ -89,6 +89,15 @@ def test_content_that_repeats_without_parallax_is_not_the_array():
     assert proofs.is_everywhere(print_) == pytest.approx(0)
 
 
+@pytest.mark.parametrize(
+    ("irregularity", "everywhere"), [(0.0, 1.0), (0.008, 1.0), (0.03, 0.0), (0.12, 1.0)]
+)
+def test_content_that_stretches_a_regular_array_is_not_the_array(irregularity, everywhere):
+    stretched = replace(TOUCHING, borders=0.0, irregularity=irregularity)
+    assert proofs.is_everywhere(stretched) == pytest.approx(everywhere)
+    assert proofs.is_everywhere(replace(LENSES, irregularity=irregularity)) == pytest.approx(1)
+
+
 def test_one_picture_behind_a_mesh_is_an_objection():
     mesh = replace(TOUCHING, parallax=0.0, still=0.0, continued=0.6)
     assert proofs.is_mesh(mesh) == pytest.approx(1)

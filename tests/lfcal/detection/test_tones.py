@@ -22,3 +22,9 @@ def test_tiles_differ_in_tone_beyond_noise():
     tones = measure_tones((tiles + rng.normal(0, 0.01, tiles.shape)).astype(np.float32), lattice)
     assert tones.between > np.log(0.1)
     assert tones.unlike > 0.3
+
+
+def test_lenses_that_are_dark_but_for_a_few_pixels_have_finite_tones():
+    lattice = Lattice(np.array([12.0, 12.0]), 24.0 * np.eye(2), (480, 480), 12.0)
+    picture = (np.random.default_rng(0).random((480, 480)) < 0.05).astype(np.float32)
+    assert np.isfinite(measure_tones(picture, lattice)).all()

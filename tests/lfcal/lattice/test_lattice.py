@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from lfcal import Lattice
 from lfcal.lattice import lattice
 from lfcal.lattice.distortion import Distortion
-from lfcal.lattice.lattice import reduce_basis, shorten_bases
+from lfcal.lattice.lattice import irregularity, nearest_regular_ratio, reduce_basis, shorten_bases
 
 _UNIMODULAR = st.sampled_from(
     [[[1, 0], [0, 1]], [[2, 1], [1, 1]], [[1, -3], [0, 1]], [[0, 1], [1, 0]], [[-1, 0], [5, 1]]]
@@ -152,3 +152,12 @@ def test_lenses_of_a_large_lattice_are_gathered_piece_by_piece(basis, monkeypatc
     )
     assert len(pieces) == on.sum()
     np.testing.assert_allclose(pieces.centres(), pieces.points(pieces.indices()), atol=1e-9)
+
+
+@pytest.mark.parametrize("degrees", [0, 11, 44, -29])
+def test_irregularity_of_turned_and_stretched_arrays(degrees):
+    hexagonal = [(20.0, 0.0), (10.0, 20 * 0.75**0.5)]
+    assert irregularity(reduce_basis(_turn(hexagonal, degrees))) < 1e-9
+    stretched = reduce_basis(_turn([(20.0, 0.0), (0.0, 20.6)], degrees))
+    assert irregularity(stretched) == pytest.approx(0.03, abs=0.001)
+    assert nearest_regular_ratio(stretched) == 1j
