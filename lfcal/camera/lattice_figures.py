@@ -43,6 +43,9 @@ class LatticeFigures:
     borders : float
         How far steps on straight lines midway between the lenses stand out from those between these
         lines, 1 for cells that touch each other without gaps.
+    borders_beside : float
+        How far the strongest straight lines of both directions stand out, where they do not lie
+        midway between the lenses; else 0.
     circles : float
         Share of the lattice points that are centres of circles or peaks found without the lattice,
         or of these that lie on it, the smaller, beyond chance.
@@ -103,6 +106,7 @@ class LatticeFigures:
     fine: float
     inverted: float
     explained: float
+    borders_beside: float = 0.0
     repeated: float = 0.0
     overlap: float = 0.0
     parallax: float = 0.0

@@ -117,6 +117,8 @@ def proof_terms(figures: LatticeFigures) -> dict[str, float]:
     by_shape = proof_by_shape(figures)
     content = proof_by_content(figures) * edges(figures) * is_one_lens(figures)
     by_content = max(_CONTENT_PROOF(content), proof_by_circles(figures))
+    # Straight borders elsewhere are those of the lenses.
+    by_content *= 1 - _PLAIN_BORDERS(figures.borders_beside)
     everywhere = is_everywhere(figures) * (1 - has_equal_halves(figures))
     return {
         "proof": max(by_shape, by_content, proof_by_borders(figures)) * everywhere,

@@ -32,6 +32,8 @@ _BAND = 0.08
 _FEWEST_MARKS = 20
 #: Share of the points beside a lattice with circles, from which on these are the lenses.
 _RIMS_BESIDE = 0.3
+#: [cells] Lines so far from the borders of a lattice are those of another one.
+_BORDER_BESIDE = 0.15
 #: Shifts [cells] that a wrong lattice may have against the right one.
 _SHIFTS = ((0.5, 0.0), (0.0, 0.5), (0.5, 0.5), (1 / 3, 1 / 3), (2 / 3, 2 / 3))
 
@@ -75,17 +77,24 @@ def measure_evidence(
         repeated=max(likeness),
         explained=maps.explained(),
         shape=_shape_share(maps, parts, centre),
-        borders=_measure_borders(lattice, centre, lines),
+        **_measure_borders(lattice, centre, lines),
     )
 
 
-def _measure_borders(lattice: Lattice, centre: Floats, lines: Sequence[LineProfile]) -> float:
-    """Contrast of the fainter of two families of lines between lenses; 0 for hexagonal arrays,
-    whose cells have no straight borders through the flat.
+def _measure_borders(
+    lattice: Lattice, centre: Floats, lines: Sequence[LineProfile]
+) -> dict[str, float]:
+    """`borders` and `borders_beside`; 0 for hexagonal arrays, whose cells have no straight borders
+    through the flat.
     """
     if len(lattice.steps) == 6:
-        return 0.0
-    return min(line.contrast((along + 0.5) % 1) for line, along in zip(lines, centre, strict=True))
+        return {"borders": 0.0, "borders_beside": 0.0}
+    places = (centre + 0.5) % 1
+    strongest = np.array([line.strongest for line in lines])
+    away = np.abs((strongest - places + 0.5) % 1 - 0.5)
+    own = min(line.contrast(place) for line, place in zip(lines, places, strict=True))
+    beside = min(line.contrast(line.strongest) for line in lines)
+    return {"borders": own, "borders_beside": beside if away.max() > _BORDER_BESIDE else 0.0}
 
 
 def add_overlap(evidence: Evidence, wide: Marks, lattice: Lattice) -> Evidence:
