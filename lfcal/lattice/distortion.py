@@ -109,14 +109,18 @@ class Distortion(Frozen):
         """(n, 2) straight positions of `points` (n, 2) on the flat [px]."""
         bent = np.asarray(points, dtype=np.float64)
         straight = bent
+        rounding = np.finfo(np.float64).eps * self.reach
         # Each turn gains two digits at the distortions of real lenses.
         for _ in range(12):
+            before = straight
             # Dividing by the radial scale converges in fewer iterations than subtracting the
             # displacement.
             offset = straight - self.centre
             straight = self.centre + (bent - self._general(straight) - self.centre) / (
                 1 + self._radial_scale(offset)
             )
+            if np.abs(straight - before).max(initial=0) <= rounding:
+                break
         return straight
 
     def scaled(self, scale: float) -> Distortion:
@@ -144,11 +148,7 @@ class Distortion(Frozen):
             columns.append(("centre", -(self._radial_scale(offset) * unit[axis] + along)))
         if self.general is not None:
             powers = self._powers(straight)
-            columns += [
-                ("general", powers[:, [k]] * unit[axis])
-                for axis in range(2)
-                for k in range(len(_POWERS))
-            ]
+            columns += [("general", power[:, None] * one) for one in unit for power in powers]
         return columns
 
     def updated(self, names: Sequence[str], change: Floats) -> Distortion:
@@ -162,20 +162,30 @@ class Distortion(Frozen):
         return Distortion(self.centre, k1, self.k2, self.reach, general, self.middle)
 
     def _general(self, straight: Floats) -> Floats | float:
-        return 0.0 if self.general is None else self._powers(straight) @ self.general.T
+        """Displacement (n, 2) [px] by the general part."""
+        if self.general is None:
+            return 0.0
+        assert self.middle is not None
+        x, y = np.moveaxis((straight - self.middle) / self.reach, -1, 0)
+        out = np.empty(straight.shape)
+        for axis, (xx, xy, yy, xxx, xxy, xyy, yyy) in enumerate(self.general):
+            out[..., axis] = x * (x * (xx + xxx * x + xxy * y) + y * (xy + xyy * y))
+            out[..., axis] += y * y * (yy + yyy * y)
+        return out
 
     def _powers(self, straight: Floats) -> Floats:
-        """(n, 7) monomials of the position in the field."""
+        """(7, n) monomials of the position in the field."""
         assert self.middle is not None
         x, y = np.moveaxis((straight - self.middle) / self.reach, -1, 0)
         # Powers of arrays take ten times as long as products.
         of_x, of_y = ((np.ones_like(one), one, one * one, one * one * one) for one in (x, y))
-        return np.stack([of_x[p] * of_y[q] for p, q in _POWERS], axis=-1)
+        return np.stack([of_x[p] * of_y[q] for p, q in _POWERS])
 
     def _radial_scale(self, offset: Floats) -> Floats:
         """(n, 1) relative displacement of points at `offset` (n, 2) [px] from the centre."""
-        square = (offset**2).sum(-1, keepdims=True) / self.reach**2
-        return self.k1 * (square - 0.5) + self.k2 * (square**2 - 0.25)
+        x, y = np.moveaxis(offset / self.reach, -1, 0)
+        square = (x * x + y * y)[..., None]
+        return self.k1 * (square - 0.5) + self.k2 * (square * square - 0.25)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers, as in a camera file."""
