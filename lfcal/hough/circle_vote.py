@@ -80,8 +80,7 @@ class _ScaledPart:
         height, width = picture.shape
         side = min(max(int(_SIDE * pitch), 64), height, width)
         left, top = _brightest_part(picture, side)
-        part = np.ascontiguousarray(picture[top : top + side, left : left + side])
-        levelled = normalise_locally(part, 3 * pitch)
+        levelled = normalise_locally(picture[top : top + side, left : left + side], 3 * pitch)
         factor = _SCALED_PITCH / pitch
         way = cv2.INTER_AREA if factor < 1 else cv2.INTER_CUBIC
         scaled = cv2.resize(levelled, None, fx=factor, fy=factor, interpolation=way)

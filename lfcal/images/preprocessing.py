@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numba import njit
 
 from ..runtime.arrays import Array, Floats, Singles
 from ..runtime.kernels import kernel
@@ -74,80 +75,108 @@ def soften_mask(picture: Singles) -> Singles:
     return picture
 
 
-@kernel(share=lambda padded, out: len(out))
-def _edge_strength(begin, end, padded, out):
+def _writable(picture: Singles) -> Singles:
+    """The picture as one block that may be written to: others would compile the kernels anew."""
+    return np.require(picture, requirements=["C", "W"])
+
+
+@njit(error_model="numpy", forceinline=True)
+def _mirror(at, length):
+    """The pixel that stands at `at` where a line of `length` px is mirrored at both of its ends."""
+    period = max(2 * length - 2, 1)
+    at = at % period
+    return min(at, period - at) if at >= length else at
+
+
+@njit(error_model="numpy", forceinline=True)
+def _gradient(above, here, below, left, middle, right):
+    """Square root of the gradient at column `middle` of three lines."""
     two = np.float32(2)
+    across = (
+        above[right] - above[left] + below[right] - below[left] + two * (here[right] - here[left])
+    )
+    down = (
+        below[left]
+        - above[left]
+        + below[right]
+        - above[right]
+        + two * (below[middle] - above[middle])
+    )
+    return np.sqrt(np.sqrt(across * across + down * down))
+
+
+@kernel(share=lambda picture, out: len(out))
+def _edge_strength(begin, end, picture, out):
+    height, width = picture.shape
     for y in range(begin, end):
-        above = padded[y]
-        here = padded[y + 1]
-        below = padded[y + 2]
+        above = picture[_mirror(y - 1, height)]
+        here = picture[y]
+        below = picture[_mirror(y + 1, height)]
         line = out[y]
         # Signed indices may be negative and count from the end, which prevents vector loops.
-        for x in range(np.uint64(len(line))):
-            right = x + np.uint64(2)
-            middle = x + np.uint64(1)
-            across = (
-                above[right] - above[x] + below[right] - below[x] + two * (here[right] - here[x])
-            )
-            down = (
-                below[x]
-                - above[x]
-                + below[right]
-                - above[right]
-                + two * (below[middle] - above[middle])
-            )
-            line[x] = np.sqrt(np.sqrt(across * across + down * down))
+        for left in range(np.uint64(max(width - 2, 0))):
+            middle = left + np.uint64(1)
+            line[middle] = _gradient(above, here, below, left, middle, left + np.uint64(2))
+        for x in (0, width - 1):
+            line[x] = _gradient(above, here, below, _mirror(x - 1, width), x, _mirror(x + 1, width))
 
 
 def edge_strength(picture: Singles) -> Singles:
     """(h, w) float32 square root of the gradient (Sobel) of a picture of 2 x 2 px or more."""
     out = np.empty_like(picture)
-    _edge_strength(_mirrored(picture, 1), out)
+    _edge_strength(_writable(picture), out)
     return out
-
-
-def _mirrored(picture: Singles, margin: int) -> Singles:
-    import cv2
-
-    return np.asarray(
-        cv2.copyMakeBorder(picture, margin, margin, margin, margin, cv2.BORDER_REFLECT_101)
-    )
 
 
 @kernel(
     error_model="numpy",
-    share=lambda padded, side, together, floor, clip, out: -(-len(out) // together),
+    share=lambda picture, half, together, floor, clip, out: -(-len(out) // together),
 )
-def _normalise(begin, end, padded, side, together, floor, clip, out):
+def _normalise(begin, end, picture, half, together, floor, clip, out):
     height, width = out.shape
+    side = 2 * half + 1
     share = 1.0 / (side * side)
-    half = side // 2
+    # Sums over the columns of a window, with those beyond both sides.
+    sums, squares = np.empty((2, width + 2 * half))
+    totals, of_squares = np.empty((2, width))
     for part in range(begin, end):
-        sums = np.zeros(padded.shape[1])
-        squares = np.zeros(padded.shape[1])
+        inner = sums[half : half + width]
+        inner_squares = squares[half : half + width]
+        inner[:] = 0
+        inner_squares[:] = 0
         first = part * together
         for y in range(first, min(first + together, height)):
             # The sums of the first window, then a row is added and one subtracted.
-            for row in range(first if y == first else y + side - 1, y + side):
-                for x in range(len(sums)):
-                    value = np.float64(padded[row, x])
-                    sums[x] += value
-                    squares[x] += value * value
+            for row in range(y - half if y == first else y + half, y + half + 1):
+                pixels = picture[_mirror(row, height)]
+                for x in range(width):
+                    value = np.float64(pixels[x])
+                    inner[x] += value
+                    inner_squares[x] += value * value
             if y > first:
-                for x in range(len(sums)):
-                    value = np.float64(padded[y - 1, x])
-                    sums[x] -= value
-                    squares[x] -= value * value
+                pixels = picture[_mirror(y - half - 1, height)]
+                for x in range(width):
+                    value = np.float64(pixels[x])
+                    inner[x] -= value
+                    inner_squares[x] -= value * value
+            for beyond in range(half):
+                for x in (half - 1 - beyond, half + width + beyond):
+                    inside = half + _mirror(x - half, width)
+                    sums[x] = sums[inside]
+                    squares[x] = squares[inside]
             total = sums[:side].sum()
             square = squares[:side].sum()
             for x in range(width):
-                mean = np.float32(total * share)
-                variance = max(np.float32(square * share) - mean * mean, np.float32(0))
-                value = (padded[y + half, x + half] - mean) / (np.sqrt(variance) + floor)
-                out[y, x] = min(max(value, -clip), clip)
+                totals[x] = total
+                of_squares[x] = square
                 if x + 1 < width:
                     total += sums[x + side] - sums[x]
                     square += squares[x + side] - squares[x]
+            for x in range(width):
+                mean = np.float32(totals[x] * share)
+                variance = max(np.float32(of_squares[x] * share) - mean * mean, np.float32(0))
+                value = (picture[y, x] - mean) / (np.sqrt(variance) + floor)
+                out[y, x] = min(max(value, -clip), clip)
 
 
 def normalise_locally(picture: Singles, window: float) -> Singles:
@@ -158,7 +187,7 @@ def normalise_locally(picture: Singles, window: float) -> Singles:
     """
     half = max(3, int(window) | 1) // 2
     out = np.empty_like(picture)
-    _normalise(_mirrored(picture, half), 2 * half + 1, max(64, 4 * half), _FLOOR, _CLIP, out)
+    _normalise(_writable(picture), half, max(64, 4 * half), _FLOOR, _CLIP, out)
     return out
 
 
