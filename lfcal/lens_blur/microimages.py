@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import chain, product
 from typing import Any, NamedTuple
 
@@ -280,13 +281,18 @@ class _Model:
         # Shading and stray light that the pixels do not tell stay as at the start.
         stiff = _PIXEL_ERROR * np.sqrt(len(root)) / _SPREADS
 
+        # The solver asks for the slopes where it has just asked for the misfits.
+        @lru_cache(1)
+        def light(parameters: bytes) -> tuple[Array, Array]:
+            return self.light(tile, np.frombuffer(parameters))
+
         def miss(p: Array) -> Array:
-            left = root * (self.light(tile, p)[0] - tile.light)
+            left = root * (light(p.tobytes())[0] - tile.light)
             return np.append(left, stiff * (p[-2:] - _START[-2:]))
 
         def slopes(p: Array) -> Array:
             known = np.eye(len(p))[-2:] * stiff[:, None]
-            return np.vstack([root[:, None] * self.light(tile, p)[1], known])
+            return np.vstack([root[:, None] * light(p.tobytes())[1], known])
 
         found = least_squares(
             miss,
@@ -299,7 +305,7 @@ class _Model:
             xtol=1e-4,
             max_nfev=25,
         )
-        return found.x, float(np.sqrt((miss(found.x)[: len(root)] ** 2).mean()))
+        return found.x, float(np.sqrt((found.fun[: len(root)] ** 2).mean()))
 
 
 def _blurred_disc(far: Array, radius: Array, blur: Array, width: float) -> Array:

@@ -23,8 +23,10 @@ def are_spots(picture: Singles, lattice: Lattice) -> bool:
 
     `picture` (h, w) is the root of the light.
     """
-    light = picture.astype(np.float64) ** 2
-    pixels = abs(np.linalg.det(lattice.basis)) * light.mean() ** 2 / np.mean(light**2)
+    # Row by row, as the light of a large flat takes longer to store than to add up.
+    lights = (row.astype(np.float64) ** 2 for row in picture)
+    total, squares = np.sum([(light.sum(), light @ light) for light in lights], axis=0)
+    pixels = abs(np.linalg.det(lattice.basis)) * total**2 / (squares * picture.size)
     return bool(pixels < _FEWEST_PIXELS)
 
 
