@@ -94,12 +94,13 @@ def find_lattice_in_crops(flat: NDArray[Any], kind: str, has_mosaic: bool) -> Fi
 def find_lattice_in_piece(flat: NDArray[Any], kind: str) -> FittedLattice | None:
     """The lattice of a large white image, from its middle outwards; None where it is none."""
     from .white_fit.fit import fit_lattice_to_white_image
-    from .white_fit.large import find_white_lattice_in_array
+    from .white_fit.large import find_white_lattice, window_reader
 
-    picture = sqrt_luminance(flat)
-    start = find_white_lattice_in_array(picture, kind == "white")
+    size = flat.shape[1], flat.shape[0]
+    start = find_white_lattice(window_reader(flat, False), size, kind == "white", tries=1)
     if start is None:
         return None
+    picture = sqrt_luminance(flat)
     return FittedLattice.of(picture, True, start, fit_lattice_to_white_image(picture, start))
 
 

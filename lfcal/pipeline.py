@@ -203,8 +203,7 @@ def _find_large(flat: NDArray[Any], kind: str, filtered: bool, block: int) -> Fi
         if pixels >= downscale.LARGE * block**2
         else None
     )
-    in_piece = found is None and block == 1 and not filtered and pixels >= downscale.PIECES
-    if in_piece and (kind == "white" or downscale.may_be_white(flat)):
+    if found is None and block == 1 and not filtered and pixels >= downscale.PIECES:
         found = find_lattice_in_piece(flat, kind)
     return found
 

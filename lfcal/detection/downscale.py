@@ -4,9 +4,7 @@ every pixel.
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import replace
-from itertools import islice
 
 import numpy as np
 
@@ -21,7 +19,6 @@ __all__ = [
     "PIECES",
     "average_blocks",
     "choose_block_size",
-    "may_be_white",
     "upscale_calibration",
 ]
 
@@ -29,8 +26,6 @@ __all__ = [
 LARGE = 4.8e7
 # White images of fewer are as soon calibrated as a whole as in pieces.
 PIECES = 6e6
-# [px] side of the part that tells whether a flat may be a white image.
-_PART = 768
 
 
 def choose_block_size(flat: Array, has_mosaic: bool) -> int:
@@ -71,30 +66,6 @@ def _find_pitch(flat: Array) -> float:
             return pitch
     assert error is not None
     raise error
-
-
-def may_be_white(flat: Array) -> bool:
-    """Whether the middle of a flat has evenly lit microimages, at the strongest period there.
-
-    Scenes are told from white images without the search for a lattice in a piece, which measures
-    many periods of a scene before it finds that it is none.
-    """
-    from ..images.preprocessing import sqrt_luminance
-    from .features import FlatFeatures
-    from .search import measure_basis
-    from .spectrum import find_periods
-
-    height, width = flat.shape[:2]
-    side = min(_PART, height, width)
-    left = (width - side) // 2
-    top = (height - side) // 2
-    picture = sqrt_luminance(np.ascontiguousarray(flat[top : top + side, left : left + side]))
-    with suppress(CalibrationError, np.linalg.LinAlgError):
-        for basis in islice(find_periods(FlatFeatures(picture)), 1):
-            radius = float(np.hypot(*basis.T).min() / 2)
-            found = measure_basis(picture, Lattice(np.zeros(2), basis, (side, side), radius))
-            return bool(found) and found[0].evidence.white_probability > 0.5
-    return False
 
 
 def average_blocks(flat: Array, block: int, rows: int = 32) -> Singles:

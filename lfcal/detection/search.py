@@ -76,6 +76,7 @@ def find_candidates(
     thorough: bool = False,
     stated_white: float = 0.0,
     again: bool = False,
+    periods: int = _MOST_PERIODS,
 ) -> list[Candidate]:
     """Lattices that may be on a picture (h, w), the square root of the luminance, the most probable
     first.
@@ -83,7 +84,7 @@ def find_candidates(
     A certain one ends the search; a `thorough` one measures all periods and centres, at the full
     size. `stated_white` is 1 if the flat is stated to be a white image, else 0. `again`
     if the flat was searched in other tones before: what repeats at half the size is then not looked
-    for at the full size.
+    for at the full size. At most so many `periods` are measured at each size, the strongest first.
 
     Raises
     ------
@@ -98,7 +99,12 @@ def find_candidates(
         half: Any = cv2.resize(
             picture[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA
         )
-        small = _search(FlatFeatures(half, stated_white), hint and hint.scaled(2), least=_HALVED)
+        small = _search(
+            FlatFeatures(half, stated_white),
+            hint and hint.scaled(2),
+            least=_HALVED,
+            periods=periods,
+        )
         if small:
             most = 2 * _CLEAR
         size = picture.shape[1], picture.shape[0]
@@ -109,7 +115,8 @@ def find_candidates(
         ]
     done = any(one.evidence.is_certain or _is_clear(one) for one in found)
     if not done and not (again and found):
-        found += _search(FlatFeatures(picture, stated_white), hint, thorough, most=most)
+        features = FlatFeatures(picture, stated_white)
+        found += _search(features, hint, thorough, most=most, periods=periods)
     if found:
         return sorted(found, key=lambda one: -one.evidence.rank)
     if hint is not None:
@@ -166,8 +173,9 @@ def _search(
     thorough: bool = False,
     least: float = 0.0,
     most: float = np.inf,
+    periods: int = _MOST_PERIODS,
 ) -> list[Candidate]:
-    """Candidates of all periods up to `most` [px], or of those up to a certain one, the most
+    """Candidates of so many periods up to `most` [px], or of those up to a certain one, the most
     probable first; none if the strongest period is shorter than `least` [px].
 
     The centre of each period that looks most like those of lenses is compared with its neighbours
@@ -203,7 +211,7 @@ def _search(
         if any(one.evidence.is_certain for one in found) and not thorough:
             waiting = []
             break
-        if len(tried) >= _MOST_PERIODS:
+        if len(tried) >= periods:
             break
     found += [one for rough in waiting for one in _refine_candidate(rough)]
     return sorted(found, key=lambda one: -one.evidence.rank)

@@ -39,7 +39,7 @@ _FARTHER = 2.5
 #: Places of the pieces that a lattice is searched for in, as shares of the flat: the middle first.
 _PLACES = (0.5, 0.2, 0.8)
 
-__all__ = ["find_white_lattice", "find_white_lattice_in_array", "sample_parts", "window_reader"]
+__all__ = ["find_white_lattice", "sample_parts", "window_reader"]
 
 
 def window_reader(flat: Array, filtered: bool) -> ReadCrop:
@@ -88,14 +88,6 @@ def _sample_grid(read: ReadCrop, size: tuple[int, int], side: int, pixels: float
 def _stack(read: ReadCrop, corners: list[tuple[int, int]], side: int) -> StackedCrops:
     picture = np.concatenate([read(x, y, side, side) for x, y in corners])
     return StackedCrops(picture, np.array(corners, dtype=np.int64), (side, side))
-
-
-def find_white_lattice_in_array(tones: Singles, sure: bool) -> Candidate | None:
-    """`find_white_lattice` in the square root (h, w) of the light of a whole flat."""
-    size = tones.shape[1], tones.shape[0]
-    return find_white_lattice(
-        lambda x, y, w, h: np.ascontiguousarray(tones[y : y + h, x : x + w]), size, sure, 1
-    )
 
 
 def find_white_lattice(
@@ -163,8 +155,8 @@ def _find_in_piece(
             continue
         picture = picture / np.float32(mean)
         try:
-            start = find_candidates(picture, stated_white=float(sure))[0]
-        except CalibrationError:
+            start = _find_start(picture, sure, quick=tries == 1 and not sure)
+        except (CalibrationError, np.linalg.LinAlgError):
             continue
         own = start.lattice
         # Ten pitches fit into the piece.
@@ -175,6 +167,19 @@ def _find_in_piece(
         moved = Lattice(own.origin + np.array([x, y]), own.basis, size, own.radius)
         return replace(start, lattice=moved), (x, y), side
     return None
+
+
+def _find_start(picture: Singles, sure: bool, quick: bool) -> Candidate:
+    """The most probable lattice of a piece (h, w).
+
+    In a `quick` search the strongest period tells scenes from white images: many periods of a scene
+    would be measured before it is found to be none.
+    """
+    if quick:
+        first = find_candidates(picture, periods=1)[0]
+        if first.evidence.is_certain or first.evidence.white_probability <= 0.5:
+            return first
+    return find_candidates(picture, stated_white=float(sure))[0]
 
 
 def _is_even(read: ReadCrop, size: tuple[int, int], lattice: Lattice) -> bool:

@@ -36,11 +36,3 @@ def test_distorted_lattice_is_scaled_from_averages_to_the_flat():
 
 def test_small_flat_is_not_averaged():
     assert downscale.choose_block_size(np.zeros((1000, 1000), np.uint8), False) == 1
-
-
-def test_only_white_images_are_searched_piece_by_piece(whites, shared):
-    white = whites.white_image(whites.turned(whites.HEXAGON, 27.3, 17), (1103, 905))[0]
-    assert downscale.may_be_white(white)
-    assert not downscale.may_be_white(np.zeros((900, 900), np.uint8))
-    for name in ("Fujita2.png", "MiniGarden2.webp", "Boys2.webp"):
-        assert not downscale.may_be_white(lfcal.read_flat(shared("captures", name))), name

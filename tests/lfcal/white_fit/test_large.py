@@ -9,7 +9,7 @@ import pytest
 
 import lfcal
 from benchmarks import white_images
-from lfcal.detection import downscale
+from lfcal.detection import downscale, search
 from lfcal.runtime.errors import CalibrationError
 from lfcal.white_fit import large
 
@@ -118,3 +118,28 @@ def test_very_large_flat_without_a_lattice_is_refused(in_parts):
     noise = np.random.default_rng(0).integers(0, 255, (800, 1000)).astype(np.uint8)
     with pytest.raises(CalibrationError):
         lfcal.calibrate(noise)
+
+
+def test_scenes_are_told_from_white_images_by_their_strongest_period(shared, monkeypatch):
+    measured = []
+    original = search._measure_period
+
+    def seen(*args):
+        measured.append(args)
+        return original(*args)
+
+    monkeypatch.setattr(search, "_measure_period", seen)
+    for name in ("Fujita2.png", "MiniGarden2.webp", "Boys2.webp"):
+        flat = lfcal.read_flat(shared("captures", name))
+        size = flat.shape[1], flat.shape[0]
+        measured.clear()
+        assert large.find_white_lattice(large.window_reader(flat, False), size, False, 1) is None
+        assert len(measured) <= 1, name
+
+
+def test_piece_of_a_white_image_gives_its_lattice(whites):
+    white = whites.white_image(whites.turned(whites.HEXAGON, 27.3, 17), (1103, 905))[0]
+    size = white.shape[1], white.shape[0]
+    found = large.find_white_lattice(large.window_reader(white, False), size, False, 1)
+    assert found.lattice.pitch == pytest.approx(27.3, abs=0.01)
+    assert large.find_white_lattice(large.window_reader(0 * white, False), size, False, 1) is None
