@@ -179,7 +179,8 @@ def _measure_spectrum(
     )
 
 
-@lru_cache(4)
+# One entry for each side of windows.
+@lru_cache(_WIDEST + 1 - _NARROWEST)
 def _analysis(side: int) -> tuple[_Array, _Array, _Array]:
     """Window (side, side), and weights of the means over rings of frequency.
 
@@ -196,7 +197,7 @@ def _analysis(side: int) -> tuple[_Array, _Array, _Array]:
     return window[:, None] * window, weights, half.reshape(-1, half.shape[2])
 
 
-@lru_cache(4)
+@lru_cache(_WIDEST + 1 - _NARROWEST)
 def _blurred_scenes(side: int) -> _Array:
     """(rings, slopes, soft, discs): power in windows of blurred scenes of these kinds."""
     window, weights, _ = _analysis(side)
