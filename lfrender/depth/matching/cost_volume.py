@@ -114,33 +114,40 @@ class _Overlap(NamedTuple):
 # The error model of NumPy, because Python's checks every division, which prevents vector loops.
 # Indices are unsigned, because signed ones are checked for counting from the end.
 @njit(fastmath=FAST, error_model="numpy", forceinline=True)
-def _strip_moments(strips, own, other, overlap, masks, mask, weights):
-    """Sums over the masked pixels of one strip and the interpolated ones of another: of both, of
-    the squares of both, and of those of their differences.
+def _strip_moments(strips, own, other, overlap, masks, mask, chosen, at, weights):
+    """Number of the masked pixels of one strip, and sums over them and the interpolated ones of
+    another: of both, of the squares of both, and of those of their differences.
+
+    Unless it is None, `chosen` from place `at` on masks the first strip, too.
     """
     one = np.uint64(1)
     above = np.uint64(other + overlap.upper)
     below = np.uint64(other + overlap.lower)
     a = np.uint64(own)
     m = np.uint64(mask)
+    first = np.uint64(at)
     w00, w01, w10, w11 = weights
-    sa = sb = squares = srr = np.float32(0.0)
+    count = sa = sb = squares = srr = np.float32(0.0)
     for k in range(np.uint64(overlap.number)):
         b = w00 * strips[above + k] + w01 * strips[above + one + k]
         b += w10 * strips[below + k] + w11 * strips[below + one + k]
-        b *= masks[m + k]
-        c = masks[m + k] * strips[a + k]
+        counts = masks[m + k]
+        if chosen is not None:
+            counts *= chosen[first + k]
+        b *= counts
+        c = counts * strips[a + k]
+        count += counts
         sa += c
         sb += b
         squares += c * c + b * b
         srr += (c - b) * (c - b)
-    return sa, sb, squares, srr
+    return count, sa, sb, squares, srr
 
 
 @njit(error_model="numpy", forceinline=True)
-def _disc_moments(values, own, other, pair, move, raster, ones):
-    """Number of the pixels of a strip that have a partner in another one, in both discs and on the
-    flat, and sums over them as those of `_strip_moments`, row by row.
+def _disc_moments(values, own, other, pair, move, raster, ones, chosen, begin):
+    """As `_strip_moments`, row by row, for the pixels of a strip that have a partner in another one,
+    in both discs and on the flat.
     """
     a, b, middle, far = pair
     ax = a[0] - middle[0]
@@ -160,8 +167,7 @@ def _disc_moments(values, own, other, pair, move, raster, ones):
     bottom = min(half, height - 1 - middle[1], height - 2 - far[1] - dy)
     upper = ((dy % step) * raster.rows + dy // step) * width + dx
     lower = (((dy + 1) % step) * raster.rows + (dy + 1) // step) * width + dx
-    count = 0
-    sa = sb = squares = srr = np.float32(0.0)
+    count = sa = sb = squares = srr = np.float32(0.0)
     for line in range((top + half + step - 1) // step, (bottom + half) // step + 1):
         y = np.float32(line * step - half)
         own2 = raster.radius2 - (y - ay) * (y - ay)
@@ -181,13 +187,15 @@ def _disc_moments(values, own, other, pair, move, raster, ones):
             np.int32(upper),
             np.int32(lower),
         )
-        sums = _strip_moments(values, own + at, other + at, row, ones, 0, move.weights)
-        count += last + 1 - first
-        sa += sums[0]
-        sb += sums[1]
-        squares += sums[2]
-        srr += sums[3]
-    return np.float32(count), sa, sb, squares, srr
+        sums = _strip_moments(
+            values, own + at, other + at, row, ones, 0, chosen, begin + at, move.weights
+        )
+        count += sums[0]
+        sa += sums[1]
+        sb += sums[2]
+        squares += sums[3]
+        srr += sums[4]
+    return count, sa, sb, squares, srr
 
 
 @njit(error_model="numpy", inline="always")
@@ -203,7 +211,7 @@ def _move_between(a, b, middle, other, grow):
 
 
 @kernel(error_model="numpy", share=lambda terms, *_: len(terms.centres))
-def _pair_costs(begin, end, terms, strips, masks, rows, tried, out):
+def _pair_costs(begin, end, terms, strips, masks, rows, tried, chosen, out):
     # Numba counts references each time that an array is taken out of a tuple: not in loops.
     centres = terms.centres
     radius = terms.radius
@@ -226,7 +234,8 @@ def _pair_costs(begin, end, terms, strips, masks, rows, tried, out):
     length = shared.shape[1]
     ones = np.ones(strips.width, np.float32)
     reach = len(slots) // 2
-    size = strips.rows * step * strips.width
+    part = strips.rows * strips.width
+    size = step * part
     mid = np.float32(0.5)
     for lens in range(begin, end):
         for d in range(rows.shape[1]):
@@ -251,25 +260,27 @@ def _pair_costs(begin, end, terms, strips, masks, rows, tried, out):
                     slot = slots[move.down + reach, move.across + reach]
                 own = lens * size
                 there = other * size
+                of_chosen = lens * part
                 # Of small overlaps, below a third of a microimage, the pixels at the rim are tested
-                # one by one.
-                if slot >= 0 and counts[slot] * step > radius2:
-                    count = np.float32(counts[slot])
+                # one by one, unless few pixels are chosen.
+                if slot >= 0 and (chosen is not None or counts[slot] * step > radius2):
                     overlap = _Overlap(ends[slot, 0], ends[slot, 1], ends[slot, 2], ends[slot, 3])
                     first = overlap.first
-                    sa, sb, squares, srr = _strip_moments(
+                    count, sa, sb, squares, srr = _strip_moments(
                         values,
                         own + first,
                         there + first,
                         overlap,
                         line,
                         slot * length + first,
+                        chosen,
+                        of_chosen + first,
                         move.weights,
                     )
                 else:
                     pair = (a, b, middle_a, middle_b)
                     count, sa, sb, squares, srr = _disc_moments(
-                        values, own, there, pair, move, raster, ones
+                        values, own, there, pair, move, raster, ones, chosen, of_chosen
                     )
                 if count < 4:
                     continue
@@ -378,13 +389,15 @@ def compute_pair_costs(
     rows: NDArray[np.int32],
     shifts: Shifts,
     out: NDArray[np.float32] | None = None,
+    chosen: NDArray[np.float32] | None = None,
 ) -> NDArray[np.float32]:
     """(n, d, k) float32 `1 - rho` of each lens with its neighbours `rows` (n, d) at each shift.
 
     A difference of means counts by half; noise, remaining shading and small overlaps pull the cost
-    toward 1. Where a row is -1 the cost is 1, or that in `out` of an earlier call.
+    toward 1. Where a row is -1 the cost is 1, or that in `out` of an earlier call. Of the pixels of
+    the first part of a strip, only those `chosen` (n * rows * width) count, 1 or 0, all by default.
     """
     if out is None:
         out = np.ones((*rows.shape, len(shifts.sizes)), np.float32)
-    _pair_costs(terms, strips, masks, rows, shifts, out)
+    _pair_costs(terms, strips, masks, rows, shifts, chosen, out)
     return out

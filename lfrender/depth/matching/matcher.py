@@ -102,7 +102,7 @@ class Matcher:
     def _masks(self) -> OverlapMasks:
         return overlap_masks(self._strips, self.gray, self.neighbours.steps, self.shifts)
 
-    def _extract(self, active: NDArray[np.bool_]) -> Strips:
+    def extract(self, active: NDArray[np.bool_]) -> Strips:
         """The microimages, those of the `active` lenses and of their neighbours cut out."""
         extract_strips(self._strips, self.gray, dilate_mask(active, self.neighbours.all))
         return self._strips
@@ -120,13 +120,45 @@ class Matcher:
             shifts = shifts._replace(which=which)
         terms = pair_terms(self.gray, self.statistics, self._noise)
         rows = pairs_of(self.neighbours.forward, active, done)
-        return compute_pair_costs(terms, self._extract(active), self._masks, rows, shifts, out)
+        return compute_pair_costs(terms, self.extract(active), self._masks, rows, shifts, out)
 
     def lens_costs(
         self, pair: NDArray[np.float32], wanted: NDArray[np.bool_] | None = None
     ) -> NDArray[np.float32]:
         """(m, k) float32: mean over the pairs of each lens, or of each of the `wanted` (n,)."""
         return average_pair_costs(pair, self.neighbours, wanted)
+
+    def marked_costs(
+        self,
+        wanted: NDArray[np.bool_],
+        marked: NDArray[np.float32],
+        shifts: NDArray[np.float32],
+        half_weight: float,
+    ) -> NDArray[np.float32]:
+        """(m, k) float32 costs of the `marked` pixels of each of the `wanted` lenses (n,) at these
+        `shifts` (k,) [px]: mean over the better half of the neighbours that show some of them.
+
+        The cost is 1 where a single neighbour does; an overlap of `half_weight` [px^2] has half
+        weight. `marked` is as `chosen` of `compute_pair_costs`.
+        """
+        terms = pair_terms(self.gray, self.statistics, self._noise)._replace(
+            doubts=np.zeros(len(wanted), np.float32),
+            shading=np.float32(0),
+            half_weight=np.float32(half_weight),
+        )
+        strips = self.extract(wanted)
+        steps = self.neighbours.steps
+        masks = overlap_masks(strips, self.gray, np.concatenate([steps, -steps]), shifts)
+        rows = np.where(wanted[:, None], self.neighbours.all, np.int32(-1))
+        out = np.full((*rows.shape, len(shifts)), np.inf, np.float32)
+        tried = shifts_from_zero(shifts, self.gray.pitch)
+        compute_pair_costs(terms, strips, masks, rows, tried, out, marked)
+        costs = out[wanted].swapaxes(0, 1).copy()
+        _sort_first_axis(costs)
+        shown = np.isfinite(costs).sum(0)
+        better = np.maximum((shown + 1) // 2, 1)
+        total = np.take_along_axis(costs.cumsum(0), better[None] - 1, 0)[0]
+        return np.where(shown >= 2, total / better.astype(np.float32), np.float32(1))
 
     def match_locally(
         self, active: NDArray[np.bool_], expected: NDArray[np.float32]
@@ -138,7 +170,7 @@ class Matcher:
         a parabola, 0.75 at most, and its standard error (n,), infinite where it has none.
         """
         at = (expected / np.float32(self.factor)).astype(np.float32)
-        strips = self._extract(active)
+        strips = self.extract(active)
         tried = np.arange(at.min() - 1, at.max() + 2, dtype=np.float32)
         masks = overlap_masks(strips, self.gray, self.neighbours.steps[:2], tried)
         # Doubts are those at the expected patch sizes.
@@ -176,6 +208,18 @@ class Matcher:
             cost, self.overlap_weight, alone, best, np.ones(len(cost), bool), self.tolerance
         )
         return bool(len(cost) and (unique < 0.5).mean() > 0.2)
+
+
+def _sort_first_axis(values: NDArray[np.float32]) -> None:
+    """Sort a few rows (d, ...) at each place, by odd-even transposition: NumPy takes ten times as
+    long for so short an axis.
+    """
+    count = len(values)
+    for turn in range(count):
+        for k in range(turn % 2, count - 1, 2):
+            low = np.minimum(values[k], values[k + 1])
+            np.maximum(values[k], values[k + 1], out=values[k + 1])
+            values[k] = low
 
 
 def fit_parabola(total: NDArray[np.float32], best: NDArray[np.int64]) -> NDArray[np.float32]:

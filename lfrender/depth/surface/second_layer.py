@@ -19,10 +19,9 @@ from numpy.typing import NDArray
 from lfcal.runtime.kernels import FAST, kernel, square
 
 from ...flat.lens_graph import dilate_mask
-from ...flat.microimages import bilinear_weights, copy_box, row_of_disc
+from ...flat.microimages import VECTOR_LENGTH, Strips, bilinear_weights, copy_box, row_of_disc
 from ...flat.neighbours import Neighbours
 from ...flat.texture import Texture
-from ..matching.cost_volume import match_cost
 from ..matching.matcher import Matcher, fit_parabola
 from ..matching.sgm import aggregate_costs
 from ..presets import Preset
@@ -52,16 +51,6 @@ class _Lenses(NamedTuple):
     pitch: np.float32  # [px]
     first: NDArray[np.float32]  # (n,) [px] patch size
     floors: NDArray[np.float32]  # (n,) squared difference that needs no explanation
-
-
-class _Search(NamedTuple):
-    """Which shifts of unexplained pixels are compared, and how."""
-
-    shifts: NDArray[np.float32]  # [px]
-    means: NDArray[np.float32]  # (n,) brightness of each lens
-    floor: np.float32  # squared difference of two pixels by noise
-    half: np.float32  # number of pixels whose match counts half
-    row_step: int  # only every `row_step`-th row is compared
 
 
 @njit(fastmath=FAST, error_model="numpy", forceinline=True)
@@ -117,10 +106,11 @@ def _make_box(radius):
 
 
 @njit(fastmath=FAST, error_model="numpy", forceinline=True)
-def _find_unexplained(lenses: _Lenses, box, lens, row_step, xs, ys, places):
-    """Gather columns, rows and places in the flat of those pixels of a lens that fewer than half of
-    the neighbours that show them confirm at its first patch size, by windows of 3 x 3 pixels that
-    differ by less than their variance and a floor; their number.
+def _find_unexplained(lenses: _Lenses, box, lens, first_row, row_step, xs, ys):
+    """Gather columns and rows of those pixels of a lens that fewer than half of the neighbours that
+    show them confirm at its first patch size, by windows of 3 x 3 pixels that differ by less than
+    their variance and a floor; their number. Every `row_step`-th row counts, among them
+    `first_row`.
     """
     flat = lenses.image
     centres = lenses.centres
@@ -145,7 +135,7 @@ def _find_unexplained(lenses: _Lenses, box, lens, row_step, xs, ys, places):
     for k in range(np.uint64(size)):
         other[k] = light[k] - middle
         squares[k] = other[k] * other[k]
-    begin = 1 + -(top + 1) % row_step
+    begin = 1 + (first_row - top - 1) % row_step
     for v in range(begin, stride - 1, row_step):
         at = v * stride + 1
         for p in range(np.uint64(at), np.uint64(at + stride - 2)):
@@ -183,129 +173,33 @@ def _find_unexplained(lenses: _Lenses, box, lens, row_step, xs, ys, places):
         for x in range(first, first + count):
             at = v * stride + x - left
             if showing[at] >= 2 and 2 * confirming[at] < showing[at]:
-                xs[found], ys[found], places[found] = x, y, y * width + x
+                xs[found], ys[found] = x, y
                 found += 1
     return found
 
 
-@njit(fastmath=FAST, error_model="numpy", forceinline=True)
-def _moments(flat, xs, ys, places, number, bx, by, radius, tx, ty, mean):
-    """Number of those of some pixels of one lens whose partner, `(tx, ty)` away, lies in the other
-    lens, and sums of their brightness less the `mean`, of its squares, and of squares of
-    differences.
+@kernel(error_model="numpy", share=lambda lenses, *_: len(lenses.rows))
+def _mark_unexplained(begin, end, lenses: _Lenses, wanted, strips: Strips, marked):
+    """Set `marked` to 1 at the unexplained pixels of each `wanted` lens (n,) in the first part of
+    its strip.
     """
-    pixels, (height, width) = flat.reshape(-1), flat.shape
-    x0 = int(np.floor(tx))
-    y0 = int(np.floor(ty))
-    fx = np.float32(tx - x0)
-    fy = np.float32(ty - y0)
-    w00, w01, w10, w11 = bilinear_weights(fx, fy)
-    sa = sb = squares = srr = count = np.float32(0.0)
-    r2 = radius * radius
-    qx = bx - tx
-    qy = by - ty
-    first = np.float32(-x0)
-    last = np.float32(width - 2 - x0)
-    above = np.float32(-y0)
-    below = np.float32(height - 2 - y0)
-    away = y0 * width + x0
-    down = np.uint64(width)
-    right = np.uint64(1)
-    for k in range(np.uint64(number)):
-        x = xs[k]
-        y = ys[k]
-        if (
-            (x - qx) * (x - qx) + (y - qy) * (y - qy) > r2
-            or x < first
-            or x > last
-            or y < above
-            or y > below
-        ):
-            continue
-        at = np.uint64(places[k] + away)
-        a = pixels[np.uint64(places[k])] - mean
-        b = w00 * pixels[at] + w01 * pixels[at + right] - mean
-        b += w10 * pixels[at + down] + w11 * pixels[at + down + right]
-        count += 1
-        sa += a
-        sb += b
-        squares += a * a + b * b
-        srr += (a - b) * (a - b)
-    return count, sa, sb, squares, srr
-
-
-@kernel(error_model="numpy", fastmath=FAST, share=lambda lenses, *_: len(lenses.rows))
-def _match_unexplained(begin, end, lenses: _Lenses, search: _Search, wanted, out):
-    """Mismatch `out` (n, k) of the unexplained pixels of each `wanted` lens (n,) with the better
-    half of its neighbours, at every shift; left alone where there are too few.
-    """
-    none = np.float32(0.0)
-    radius = lenses.radius
-    centres = lenses.centres
-    rows = lenses.rows
-    shifts = search.shifts
-    means = search.means
-    row_step = search.row_step
-    most = square(2 * int(radius) + 3)
-    box = _make_box(radius)
-    costs = np.empty(rows.shape[1], np.float32)
-    xs = np.empty(most, np.float32)
-    ys = np.empty(most, np.float32)
-    places = np.empty(most, np.int64)
+    step = strips.step
+    width = strips.width
+    middle = strips.middle
+    half = strips.half
+    size = strips.rows * width
+    most = square(2 * int(lenses.radius) + 3)
+    box = _make_box(lenses.radius)
+    xs = np.empty(most, np.int64)
+    ys = np.empty(most, np.int64)
     for lens in range(begin, end):
         if not wanted[lens]:
             continue
-        number = _find_unexplained(lenses, box, lens, row_step, xs, ys, places)
-        # Fewer pixels hardly tell a depth.
-        if number < 4:
-            continue
-        ax = centres[lens, 0]
-        ay = centres[lens, 1]
-        for k in range(len(shifts)):
-            grow = 1 + shifts[k] / lenses.pitch
-            shown = 0
-            for d in range(rows.shape[1]):
-                other = rows[lens, d]
-                if other < 0:
-                    continue
-                bx = centres[other, 0]
-                by = centres[other, 1]
-                count, sa, sb, squares, srr = _moments(
-                    lenses.image,
-                    xs,
-                    ys,
-                    places,
-                    number,
-                    bx,
-                    by,
-                    radius,
-                    (bx - ax) * grow,
-                    (by - ay) * grow,
-                    means[lens],
-                )
-                if count < 4:
-                    continue
-                cost = match_cost(
-                    count,
-                    sa,
-                    sb,
-                    squares,
-                    srr,
-                    none,
-                    count * row_step,
-                    search.floor,
-                    search.half,
-                    none,
-                )
-                at = shown
-                while at > 0 and costs[at - 1] > cost:
-                    costs[at] = costs[at - 1]
-                    at -= 1
-                costs[at] = cost
-                shown += 1
-            if shown >= 2:
-                better = (shown + 1) // 2
-                out[lens, k] = costs[:better].sum() / better
+        left = middle[lens, 0] - half
+        top = middle[lens, 1] - half
+        for k in range(_find_unexplained(lenses, box, lens, top, step, xs, ys)):
+            place = (ys[k] - top) // step * width + xs[k] - left
+            marked[lens * size + place] = np.float32(1)
 
 
 @kernel(error_model="numpy", share=lambda lenses, *_: len(lenses.rows))
@@ -317,15 +211,14 @@ def _show_unexplained(begin, end, lenses: _Lenses, layer, second, hidden):
     height, width = hidden.shape
     most = square(2 * int(radius) + 3)
     box = _make_box(radius)
-    xs = np.empty(most, np.float32)
-    ys = np.empty(most, np.float32)
-    places = np.empty(most, np.int64)
+    xs = np.empty(most, np.int64)
+    ys = np.empty(most, np.int64)
     for lens in range(begin, end):
         if not layer[lens]:
             continue
         if second[lens]:
-            for k in range(_find_unexplained(lenses, box, lens, 1, xs, ys, places)):
-                hidden[int(ys[k]), int(xs[k])] = False
+            for k in range(_find_unexplained(lenses, box, lens, 0, 1, xs, ys)):
+                hidden[ys[k], xs[k]] = False
             continue
         x = lenses.centres[lens, 0]
         y = lenses.centres[lens, 1]
@@ -377,7 +270,7 @@ def find_second_layer(
     # of the noise and a fifth of that of its lens. A neighbour that shows 1.5 % of a microimage
     # counts half.
     floors = 4 * noise2 + np.float32(0.2) * matcher.statistics.contrast**2
-    half = np.float32(0.015 * np.pi * gray.radius**2)
+    half = 0.015 * np.pi * gray.radius**2
     small = (first / factor).astype(np.float32)
     lens = np.arange(len(first))
     at_first = np.abs(shifts - small[:, None]).argmin(1)
@@ -390,14 +283,15 @@ def find_second_layer(
         small,
         floors,
     )
-    search = _Search(shifts, matcher.statistics.mean, 2 * noise2, half, preset.row_step)
-
     # A branch runs through one lens after the other: the lenses beside those of a sample that show
     # one are matched too.
     sample = wanted & (neighbours.indices % 2 == 0).all(1)
     tried = sample
+    strips = matcher.extract(sample)
+    marked = np.zeros(len(first) * strips.rows * strips.width + VECTOR_LENGTH, np.float32)
     for _ in range(2):
-        _match_unexplained(lenses, search, tried, cost)
+        _mark_unexplained(lenses, tried, strips, marked)
+        cost[tried] = matcher.marked_costs(tried, marked, shifts, half)
         matched = cost.min(1) < cost[lens, at_first] - _LOWER
         tried = wanted & ~sample & dilate_mask(sample & matched, neighbours.all)
     total = aggregate_costs(cost, neighbours, matcher.slope_price, 0.35)
