@@ -72,80 +72,65 @@ class LensShifts:
 
     def iterate(self, weight: Floats) -> tuple[Floats, Floats, float]:
         """Change (3, 2) from starting weights (n,), weights (n,), and variance over `spread`."""
-        ratio = 0j if self.regular is None else self.regular
-        change = np.zeros((3, 2))
         weight = np.array(weight, dtype=np.float64)
+        change = np.empty(3, np.complex128)
         variance = _iterate(
             self.design,
-            self.shift,
+            self.shift @ [1, 1j],
             self.prior,
             self.spread,
-            self.basis,
-            ratio.real,
-            ratio.imag,
+            self.basis @ [1, 1j],
+            0j if self.regular is None else self.regular,
             change,
             weight,
         )
-        return change, weight, variance
+        return change.view(np.float64).reshape(3, 2), weight, variance
 
 
 @njit(error_model="numpy")
-def _weighted_mean(values, weight, total):
-    mean = np.zeros(2)
-    for k in range(len(weight)):
-        mean[0] += weight[k] * values[k, 0]
-        mean[1] += weight[k] * values[k, 1]
-    return mean / total
-
-
-@njit(error_model="numpy")
-def _fit(design, shift, weight, basis, ratio_x, ratio_y, change):
-    """Set `change` (3, 2) of origin and basis by weighted least squares; a zero ratio is that of a
-    free lattice.
+def _fit(design, shift, weight, basis, ratio):
+    """Change of origin and basis by weighted least squares, as complex numbers `x + iy`; the `ratio`
+    of a free lattice is zero.
     """
-    total = max(weight.sum(), 1e-300)
-    middle = _weighted_mean(design[:, 1:], weight, total)
-    mean = _weighted_mean(shift, weight, total)
-    ii = ij = jj = ix = iy = jx = jy = 0.0
+    total = 1e-300
+    middle_i = middle_j = 0.0
+    mean = 0j
     for k in range(len(weight)):
-        i = design[k, 1] - middle[0]
-        j = design[k, 2] - middle[1]
-        x = shift[k, 0] - mean[0]
-        y = shift[k, 1] - mean[1]
+        total += weight[k]
+        middle_i += weight[k] * design[k, 1]
+        middle_j += weight[k] * design[k, 2]
+        mean += weight[k] * shift[k]
+    middle_i /= total
+    middle_j /= total
+    mean /= total
+    ii = ij = jj = 0.0
+    iz = jz = 0j
+    for k in range(len(weight)):
+        i = design[k, 1] - middle_i
+        j = design[k, 2] - middle_j
+        z = shift[k] - mean
         w = weight[k] / total
         ii += w * i * i
         ij += w * i * j
         jj += w * j * j
-        ix += w * i * x
-        iy += w * i * y
-        jx += w * j * x
-        jy += w * j * y
-    if ratio_x == 0 and ratio_y == 0:
-        determinant = ii * jj - ij * ij
-        # Lenses in one line, or one of all the weight, determine nothing across it.
-        if determinant <= 1e-12 * (ii + jj) * (ii + jj):
-            change[1:] = 0.0
-        else:
-            change[1, 0] = (jj * ix - ij * jx) / determinant
-            change[1, 1] = (jj * iy - ij * jy) / determinant
-            change[2, 0] = (ii * jx - ij * ix) / determinant
-            change[2, 1] = (ii * jy - ij * iy) / determinant
-    else:
+        iz += w * i * z
+        jz += w * j * z
+    determinant = ii * jj - ij * ij
+    first = second = 0j
+    if ratio != 0:
         # A regular lattice is one complex number a1 beside its origin: c = origin + (i + j * ratio)
         # * a1.
-        along = ii + 2 * ratio_x * ij + (ratio_x * ratio_x + ratio_y * ratio_y) * jj
-        own_x = ii * basis[0, 0] + ij * basis[1, 0] + ix
-        own_y = ii * basis[0, 1] + ij * basis[1, 1] + iy
-        next_x = ij * basis[0, 0] + jj * basis[1, 0] + jx
-        next_y = ij * basis[0, 1] + jj * basis[1, 1] + jy
-        a_x = (own_x + ratio_x * next_x + ratio_y * next_y) / max(along, 1e-300)
-        a_y = (own_y + ratio_x * next_y - ratio_y * next_x) / max(along, 1e-300)
-        change[1, 0] = a_x - basis[0, 0]
-        change[1, 1] = a_y - basis[0, 1]
-        change[2, 0] = a_x * ratio_x - a_y * ratio_y - basis[1, 0]
-        change[2, 1] = a_x * ratio_y + a_y * ratio_x - basis[1, 1]
-    for axis in range(2):
-        change[0, axis] = mean[axis] - middle[0] * change[1, axis] - middle[1] * change[2, axis]
+        along = ii + 2 * ratio.real * ij + abs(ratio) ** 2 * jj
+        own = ii * basis[0] + ij * basis[1] + iz
+        other = ij * basis[0] + jj * basis[1] + jz
+        a1 = (own + ratio.conjugate() * other) / max(along, 1e-300)
+        first = a1 - basis[0]
+        second = a1 * ratio - basis[1]
+    # Lenses in one line, or one of all the weight, determine nothing across it.
+    elif determinant > 1e-12 * (ii + jj) * (ii + jj):
+        first = (jj * iz - ij * jz) / determinant
+        second = (ii * jz - ij * iz) / determinant
+    return mean - middle_i * first - middle_j * second, first, second
 
 
 @njit(error_model="numpy")
@@ -182,27 +167,15 @@ def _weighted_quantile(values, weight, share):
 
 
 @kernel(error_model="numpy")
-def _iterate(design, shift, prior, spread, basis, ratio_x, ratio_y, change, weight):
-    """Iterate `change` (3, 2) and `weight` (n,) in place; returns the variance over `spread`."""
+def _iterate(design, shift, prior, spread, basis, ratio, change, weight):
+    """Set `change` (3,), and iterate `weight` (n,) in place; returns the variance over `spread`."""
     square = np.empty(len(weight))
     variance = 0.0
-    _fit(design, shift, weight, basis, ratio_x, ratio_y, change)
-    before = change.copy()
+    origin, first, second = _fit(design, shift, weight, basis, ratio)
     for _ in range(_ITERATIONS):
         for k in range(len(weight)):
-            x = (
-                shift[k, 0]
-                - change[0, 0]
-                - design[k, 1] * change[1, 0]
-                - design[k, 2] * change[2, 0]
-            )
-            y = (
-                shift[k, 1]
-                - change[0, 1]
-                - design[k, 1] * change[1, 1]
-                - design[k, 2] * change[2, 1]
-            )
-            square[k] = (x * x + y * y) / spread[k]
+            miss = shift[k] - origin - design[k, 1] * first - design[k, 2] * second
+            square[k] = (miss.real * miss.real + miss.imag * miss.imag) / spread[k]
         # The variance at which the share of inliers lies within their quantile of a normal
         # distribution.
         inner = _weighted_quantile(square, prior, _INLIERS)
@@ -210,10 +183,14 @@ def _iterate(design, shift, prior, spread, basis, ratio_x, ratio_y, change, weig
         for k in range(len(weight)):
             near = max(1 - square[k] / (variance * _OUTLIER * _OUTLIER), 0.0)
             weight[k] = near * near * prior[k] / variance
-        before[:] = change
-        _fit(design, shift, weight, basis, ratio_x, ratio_y, change)
-        if np.abs(change - before).max() < _SETTLED:
+        before = origin, first, second
+        origin, first, second = _fit(design, shift, weight, basis, ratio)
+        moved = max(abs(origin - before[0]), abs(first - before[1]), abs(second - before[2]))
+        if moved < _SETTLED:
             break
+    change[0] = origin
+    change[1] = first
+    change[2] = second
     return variance
 
 
