@@ -22,7 +22,7 @@ from .lattice.robust_fit import LatticeFit
 from .lattice.stated import LatticeHint
 from .runtime.errors import RAW_FLAT_ADVICE, CalibrationError
 
-__all__ = ["FittedLattice", "find_lattice", "find_lattice_in_crops", "find_lattice_in_piece"]
+__all__ = ["FittedLattice", "find_lattice", "find_lattice_of_large"]
 
 #: A lattice with this probability ends the search, and least one of a lattice that is returned.
 _LIKELY = 0.9
@@ -30,6 +30,8 @@ _LEAST = 0.5
 #: [pitch] from its candidate, beyond which a fit is not that of the lattice with this evidence.
 #: Right fits on the shared flats moved by 0.03 at most.
 _FAR = 0.05
+#: Places of a very large flat that a lattice is searched for in.
+_TRIES = 9
 #: Candidates that are fitted, the most probable first.
 _MOST_FITTED = 3
 
@@ -78,30 +80,29 @@ class FittedLattice:
         return cls(picture, white, fit, start.evidence.with_halves(halves), read_crop)
 
 
-def find_lattice_in_crops(flat: NDArray[Any], kind: str, has_mosaic: bool) -> FittedLattice | None:
-    """The lattice of a very large white image from crops of it; None where it is none."""
+def find_lattice_of_large(
+    flat: NDArray[Any], kind: str, has_mosaic: bool, in_crops: bool
+) -> FittedLattice | None:
+    """The lattice of a large white image, from its middle outwards; None where it is none.
+
+    Of a very large one only crops are fitted.
+    """
     from .white_fit.fit import fit_lattice_to_white_image
     from .white_fit.large import find_white_lattice, sample_parts, window_reader
 
-    read_crop = window_reader(flat, has_mosaic)
-    start = find_white_lattice(read_crop, (flat.shape[1], flat.shape[0]), kind == "white", tries=9)
-    if start is None:
-        return None
-    crops, read_crop = sample_parts(read_crop, start.lattice)
-    return FittedLattice.of(crops, True, start, fit_lattice_to_white_image(crops, start), read_crop)
-
-
-def find_lattice_in_piece(flat: NDArray[Any], kind: str) -> FittedLattice | None:
-    """The lattice of a large white image, from its middle outwards; None where it is none."""
-    from .white_fit.fit import fit_lattice_to_white_image
-    from .white_fit.large import find_white_lattice, window_reader
-
+    read = window_reader(flat, has_mosaic)
     size = flat.shape[1], flat.shape[0]
-    start = find_white_lattice(window_reader(flat, False), size, kind == "white", tries=1)
+    start = find_white_lattice(read, size, kind == "white", _TRIES if in_crops else 1)
     if start is None:
         return None
-    picture = sqrt_luminance(flat)
-    return FittedLattice.of(picture, True, start, fit_lattice_to_white_image(picture, start))
+    picture: NDArray[np.float32] | StackedCrops
+    read_crop = None
+    if in_crops:
+        picture, read_crop = sample_parts(read, start.lattice)
+    else:
+        picture = sqrt_luminance(flat)
+    fit = fit_lattice_to_white_image(picture, start)
+    return FittedLattice.of(picture, True, start, fit, read_crop)
 
 
 def find_lattice(

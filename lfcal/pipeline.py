@@ -194,17 +194,15 @@ def _find_large(flat: NDArray[Any], kind: str, filtered: bool, block: int) -> Fi
     """The lattice of a large white image from parts of it; None where the flat is to be calibrated
     as a whole.
     """
-    from .detection import downscale
-    from .lattice_search import find_lattice_in_crops, find_lattice_in_piece
+    from .detection.downscale import LARGE, PIECES
+    from .lattice_search import find_lattice_of_large
 
     pixels = flat.shape[0] * flat.shape[1]
-    found = (
-        find_lattice_in_crops(flat, kind, filtered)
-        if pixels >= downscale.LARGE * block**2
-        else None
-    )
-    if found is None and block == 1 and not filtered and pixels >= downscale.PIECES:
-        found = find_lattice_in_piece(flat, kind)
+    found = None
+    if pixels >= LARGE * block**2:
+        found = find_lattice_of_large(flat, kind, filtered, in_crops=True)
+    if found is None and block == 1 and not filtered and pixels >= PIECES:
+        found = find_lattice_of_large(flat, kind, False, in_crops=False)
     return found
 
 

@@ -75,9 +75,9 @@ def soften_mask(picture: Singles) -> Singles:
     return picture
 
 
-def _writable(picture: Singles) -> Singles:
+def _writable(picture: Array) -> Singles:
     """The picture as one block that may be written to: others would compile the kernels anew."""
-    return np.require(picture, requirements=["C", "W"])
+    return np.require(picture, np.float32, ["C", "W"])
 
 
 @njit(error_model="numpy", forceinline=True)
@@ -147,18 +147,21 @@ def _normalise(begin, end, picture, half, together, floor, clip, out):
         first = part * together
         for y in range(first, min(first + together, height)):
             # The sums of the first window, then a row is added and one subtracted.
-            for row in range(y - half if y == first else y + half, y + half + 1):
-                pixels = picture[_mirror(row, height)]
+            if y == first:
+                for row in range(y - half, y + half + 1):
+                    pixels = picture[_mirror(row, height)]
+                    for x in range(width):
+                        value = np.float64(pixels[x])
+                        inner[x] += value
+                        inner_squares[x] += value * value
+            else:
+                added = picture[_mirror(y + half, height)]
+                left = picture[_mirror(y - half - 1, height)]
                 for x in range(width):
-                    value = np.float64(pixels[x])
-                    inner[x] += value
-                    inner_squares[x] += value * value
-            if y > first:
-                pixels = picture[_mirror(y - half - 1, height)]
-                for x in range(width):
-                    value = np.float64(pixels[x])
-                    inner[x] -= value
-                    inner_squares[x] -= value * value
+                    new = np.float64(added[x])
+                    old = np.float64(left[x])
+                    inner[x] = inner[x] + new - old
+                    inner_squares[x] = inner_squares[x] + new * new - old * old
             for beyond in range(half):
                 for x in (half - 1 - beyond, half + width + beyond):
                     inside = half + _mirror(x - half, width)
@@ -191,19 +194,24 @@ def normalise_locally(picture: Singles, window: float) -> Singles:
     return out
 
 
+@kernel
+def _interpolate(picture, positions, out):
+    height, width = picture.shape
+    for k in range(len(out)):
+        x = min(max(positions[k, 0], 0.0), width - 1.0)
+        y = min(max(positions[k, 1], 0.0), height - 1.0)
+        left = min(int(x), width - 2)
+        top = min(int(y), height - 2)
+        right = x - left
+        down = y - top
+        above = (1 - right) * picture[top, left] + right * picture[top, left + 1]
+        below = (1 - right) * picture[top + 1, left] + right * picture[top + 1, left + 1]
+        out[k] = (1 - down) * above + down * below
+
+
 def interpolate_linear(picture: Singles, positions: Floats) -> Floats:
     """(...,) bilinear interpolation of a picture at positions (..., 2) [px]; nearest outside."""
-    height, width = picture.shape
-    x = positions[..., 0].clip(0, width - 1)
-    y = positions[..., 1].clip(0, height - 1)
-    left = np.minimum(x.astype(np.intp), width - 2)
-    top = np.minimum(y.astype(np.intp), height - 2)
-    right = x - left
-    down = y - top
-    # Indices of one axis are read twice as fast.
-    pixels = picture.ravel()
-    first = top * width + left
-    second = first + width
-    above = (1 - right) * pixels.take(first) + right * pixels.take(first + 1)
-    below = (1 - right) * pixels.take(second) + right * pixels.take(second + 1)
-    return np.asarray((1 - down) * above + down * below)
+    out = np.empty(positions.shape[:-1])
+    places = np.require(positions, np.float64, ["C", "W"]).reshape(-1, 2)
+    _interpolate(_writable(picture), places, out.reshape(-1))
+    return out
