@@ -198,8 +198,9 @@ def normalise_locally(picture: Singles, window: float) -> Singles:
 def _interpolate(picture, positions, out):
     height, width = picture.shape
     for k in range(len(out)):
-        x = min(max(positions[k, 0], 0.0), width - 1.0)
-        y = min(max(positions[k, 1], 0.0), height - 1.0)
+        # In this order, NaN becomes 0.
+        x = min(max(0.0, positions[k, 0]), width - 1.0)
+        y = min(max(0.0, positions[k, 1]), height - 1.0)
         left = min(int(x), width - 2)
         top = min(int(y), height - 2)
         right = x - left

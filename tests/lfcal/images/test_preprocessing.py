@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import uniform_filter
 
-from lfcal.images.preprocessing import edge_strength, normalise_locally
+from lfcal.images.preprocessing import edge_strength, interpolate_linear, normalise_locally
 
 
 @pytest.mark.parametrize(
@@ -53,3 +53,9 @@ def test_edge_strength_is_the_square_root_of_the_sobel_gradient():
     assert np.allclose(steep[0, 1:-1] ** 2, 2.4, atol=1e-5)
     assert np.allclose(steep[1:-1, 0] ** 2, 3.2, atol=1e-5)
     assert np.allclose(steep[[0, 0, -1, -1], [0, -1, 0, -1]], 0, atol=1e-5)
+
+
+def test_places_outside_are_those_on_the_border_and_nan_is_on_the_picture():
+    picture = np.arange(12, dtype=np.float32).reshape(3, 4)
+    places = np.array([[0.5, 0.5], [-3.0, 1.0], [1e300, -np.inf], [2.5, np.nan], [np.nan, 9.0]])
+    assert interpolate_linear(picture, places) == pytest.approx([2.5, 4.0, 3.0, 2.5, 8.0])
