@@ -33,8 +33,9 @@ _SQUARES = (3, 7)
 # With 0.2 to 0.3 px no rim of 22 simulated white images is a defect and no hot pixel is lost, with
 # 0.1 px up to 35 are, with 0.4 px 3 % of the hot pixels are lost at 8 bits.
 _PLACE = 0.25
-# [px] Width of the rings in which defects are counted; rims lie in up to three of them.
+# [px] Width of the rings in which defects are counted, and how many of them hold a rim.
 _RING = 0.5
+_RIM_RINGS = 3
 _AROUND = np.ones((3, 3), np.uint8)
 # Places that are compared at once, so that memory does not grow with the flat.
 _PART = 20_000
@@ -55,9 +56,10 @@ def find_defects(picture: Singles, lattice: Lattice, lights: LensLights) -> tupl
     import cv2
 
     residual, clipped, isolated = _compute_residuals(picture, lattice, lights)
+    # Beyond the border there is nothing: pixels that count twice would look significant.
     small, large = (
         np.float32(side)
-        * np.asarray(cv2.blur(clipped, (side, side), borderType=cv2.BORDER_REFLECT), np.float32)
+        * np.asarray(cv2.blur(clipped, (side, side), borderType=cv2.BORDER_CONSTANT), np.float32)
         for side in _SQUARES
     )
     bad = np.zeros(picture.shape, np.bool_)
@@ -97,9 +99,11 @@ def are_rims(bad: Booleans, lit: Booleans, lattice: Lattice) -> Booleans:
     share = np.bincount(ring, minlength=rings) / max(len(ring), 1)
     rows, columns = np.nonzero(bad)
     lens, ring = _rings(np.column_stack([columns, rows]), lattice)
-    # A speck of dust covers many pixels of one lens.
-    seen = np.unique(np.column_stack([lens, ring]), axis=0)[:, -1]
-    often = np.bincount(seen, minlength=len(share))
+    seen = np.unique(np.column_stack([lens, ring]), axis=0)
+    # A speck of dust covers more rings of a lens than a rim does, those in its middle too.
+    number, count = np.unique(seen[:, :2], axis=0, return_inverse=True, return_counts=True)[1:]
+    narrow = count[number.ravel()] <= _RIM_RINGS
+    often = np.bincount(seen[narrow, 2], minlength=len(share))
     expected = len(ring) * share
     rims = often > expected + SIGNIFICANT * np.sqrt(expected + 1)
     return np.convolve(rims, np.ones(3), "same")[ring] > 0

@@ -212,12 +212,18 @@ def fit_lens_lights(found: LensMeasurements, lattice: Lattice, gain: GainMap) ->
     # Far from all light a polynomial can be close to 0; squares of the ratio stay finite.
     np.maximum(smooth, np.float32(1e-9) * np.max(light), out=smooth)
     ratio = light / smooth
-    # Photon noise grows with the root of the light. Dust darkens parts of a lens: the lens itself
-    # has the light of the polynomial.
-    relative = found.scatter / np.maximum(light, np.float32(1e-30))
-    noise = relative * np.sqrt(smooth)
-    ratio[noise > 2 * np.median(noise[few][lit[few]])] = 1
-    own = _shrink_lens_gain(ratio, relative / np.sqrt(np.maximum(found.number, 1)), lit, few)
+    # Photon noise grows with the root of the light.
+    noise = found.scatter / np.maximum(light, np.float32(1e-30)) * np.sqrt(smooth)
+    usual = np.median(noise[few][lit[few]])
+    # Dust darkens parts of a lens: the lens itself has the light of the polynomial, but where the
+    # lit part of the flat ends that of its bright side.
+    uneven = lit & (noise > 2 * usual)
+    ratio[uneven] = 1
+    end = _connected(seen & ~lit, uneven, lattice)
+    ratio[end] = np.minimum((light + found.scatter) / smooth, 1)[end]
+    # Few pixels scatter little by chance.
+    error = np.maximum(noise, usual) / np.sqrt(smooth * np.maximum(found.number, 1))
+    own = _shrink_lens_gain(ratio, error, lit, few)
     # 1 at the brightest part of the field that has lenses.
     brightest = float(np.percentile((smooth[few] * own[few])[lit[few]], 99.5))
     level[0] -= math.log(brightest)
@@ -226,6 +232,26 @@ def fit_lens_lights(found: LensMeasurements, lattice: Lattice, gain: GainMap) ->
     return LensLights(
         replace(gain, level=level, lens_gain=own), brightest, np.flatnonzero(seen & ~lit)
     )
+
+
+def _connected(start: Booleans, way: Booleans, lattice: Lattice) -> Booleans:
+    """Which lenses (n,) of the `way` a chain of them connects with lenses of the `start`.
+
+    The start has at least two lenses side by side.
+    """
+    if not start.any():
+        return start
+    rows = neighbour_rows(lattice.indices(), lattice.steps)
+
+    def beside(lenses: Booleans) -> Booleans:
+        return np.asarray((lenses[rows] & (rows >= 0)).any(0))
+
+    reached = start & beside(start)
+    while True:
+        more = reached | (way & beside(reached))
+        if (more == reached).all():
+            return reached & way
+        reached = more
 
 
 def _shrink_lens_gain(

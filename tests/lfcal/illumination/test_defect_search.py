@@ -149,3 +149,12 @@ def test_defects_at_one_distance_from_many_centres_are_rims():
     bad[bad] = ~are_rims(bad, np.ones_like(bad), lattice)
     assert bad[row, column].mean() < 0.05
     assert bad[tuple(anywhere.T[::-1])].mean() > 0.9 and bad[tuple(dust.T[::-1])].all()
+
+
+def test_specks_of_dust_are_no_rims():
+    lattice = lfcal.Lattice((10.0, 10.0), ((20.0, 0.0), (0.0, 20.0)), (400, 400), 9.0)
+    bad = np.zeros((400, 400), bool)
+    rng = np.random.default_rng(0)
+    for x, y in lattice.points(rng.integers(0, 20, (60, 2))):
+        bad[int(y) - 5 : int(y) + 6, int(x) - 5 : int(x) + 6] = True
+    assert not are_rims(bad, np.ones(bad.shape, bool), lattice)[:].any()

@@ -6,7 +6,8 @@ import numpy as np
 
 import lfcal
 from lfcal import Lattice
-from lfcal.illumination.lens_light import find_unlit_in_scene
+from lfcal.gain.gain_map import GainMap
+from lfcal.illumination.lens_light import LensMeasurements, find_unlit_in_scene, fit_lens_lights
 
 
 def test_missing_lens_is_a_defect_without_gain(drawn):
@@ -33,3 +34,35 @@ def test_dark_lens_of_a_scene_is_unlit_if_all_around_are_lit():
     light[180:, 200:] *= 0.01
     rows = find_unlit_in_scene(np.sqrt(light), lattice)
     np.testing.assert_array_equal(lattice.indices()[rows], [[5, 6]])
+
+
+def test_few_pixels_that_scatter_little_by_chance_are_no_proof_of_another_light():
+    lattice = Lattice((9.0, 9.0), ((18.0, 0.0), (0.0, 18.0)), (720, 540), 9.0)
+    count = len(lattice)
+    rng = np.random.default_rng(0)
+    scatter = np.full(count, 0.04)
+    light = rng.normal(1, 0.01, count)
+    # The errors are 0.01; that of the first lens looks like 0.005.
+    scatter[0] = 0.02
+    light[0] = 1.028
+    scatter[1] = 0.02
+    light[1] = 1.08
+    ones = np.ones(count)
+    found = LensMeasurements(*np.float32([light, 16 * ones, scatter, ones, ones]))
+    own = fit_lens_lights(found, lattice, GainMap.round(np.ones(40), 0.25, 9.0)).gain.lens_gain
+    assert own[0] == 1
+    assert own[1] > 1.05
+
+
+def test_where_the_lit_part_ends_lenses_have_their_own_light(drawn):
+    truth = drawn("hexagonal", 16.0, 3.0, 34.0, size=(640, 480), hot=0)
+    y, x = np.mgrid[:480, :640]
+    lit = 1 / (1 + np.exp((np.hypot(x - 320, y - 240) - 220) / 8))
+    camera = lfcal.calibrate((truth.image() * lit).astype(np.uint16), kind="white")
+    assert len(camera.defects.lenses) > 50
+    # The sensor has no defects there, and the map follows the light.
+    assert len(camera.defects.pixels) < 1e-3 * lit.size
+    ratio = np.nan_to_num(camera.gain()) / (truth.light() * lit)
+    inside = (truth.light() > 0.5) & (lit > 0.1)
+    error = ratio[inside] / np.median(ratio[inside & (lit > 0.95)]) - 1
+    assert np.quantile(np.abs(error), 0.95) < 0.5
