@@ -35,6 +35,7 @@ from ..lattice.standard_errors import LatticeErrors, Residuals
 from ..runtime.arrays import Floats, Singles
 from ..runtime.errors import CalibrationError
 from .any_shape import AnyMicroimages
+from .fit_discs import fit_two_discs
 from .kernel import Sums
 from .microimages import (
     Microimages,
@@ -44,7 +45,7 @@ from .microimages import (
 )
 from .spots import are_spots, fit_spots
 from .squares import SquareMicroimages
-from .two_discs import TwoDiscs, fit_two_discs
+from .two_discs import TwoDiscs
 
 __all__ = ["fit_lattice_to_white_image", "fit_white", "refine_on_parts"]
 

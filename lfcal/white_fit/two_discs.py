@@ -1,7 +1,5 @@
 """Two discs whose overlap is lit: a lens and the disc that cuts it.
 
-They are fitted to pixels of some microimages all over the field.
-
 Both discs are displaced in proportion to the position in the field, and by one radial distortion.
 Each has a radius, a blur of its edge and a shading about its centre. Where their edges run alike
 they may be blurred together or one by one (`disc_light`). Neighbours add their light, and each lens
@@ -14,72 +12,42 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from ..gain.gain_map import fit_light_slope
 from ..lattice.distortion import Distortion
 from ..lattice.lattice import Lattice
-from ..lattice.robust_fit import SIGNIFICANT, TUKEY_CUTOFF, LatticeFit, biweight, robust_sigma
+from ..lattice.robust_fit import LatticeFit
 from ..lattice.standard_errors import LatticeErrors, Residuals
 from ..runtime.arrays import Floats, Integers
 from .disc_light import (
     BEND,
     CORRELATION,
     COUNT,
-    GAP,
     GROWTH,
     LOG_BLUR,
     OFFSET,
     RADIUS,
     SHADING,
     SHEAR,
-    TAIL,
     evaluate,
 )
 from .microimages import Microimages
 
-__all__ = ["TwoDiscs", "choose_lens", "fit_two_discs"]
+__all__ = ["DiscPixels", "TwoDiscs", "choose_lens", "choose_pixels", "correct_slope"]
 
 _STEPS = np.array([(i, j) for j in (-1, 0, 1) for i in (-1, 0, 1) if (i, j) != (0, 0)])
-# Where the fit starts: growth and radii of both discs over the radius of whole microimages. Of two
-# equal discs the lattice follows the middle; a disc that cuts only the corners leaves it to the
-# lenses.
-_STARTS = np.array([(-0.15, 0.15, 1.02, 1.08), (0, 0.2, 1, 1.2), (0, -0.2, 1, 1.2)])
-_START_SHADING = 0.02
-_START_CORRELATION = 0.3
-# Radii over that radius: standard deviation, and least one.
-_RADIUS_RANGE = 0.3
-# Standard deviations of the other parameters from the start.
-_DEVIATIONS = ((LOG_BLUR, 0.5), (SHADING, 0.3), (GAP, 0.1), (TAIL, 0.03), (CORRELATION, 0.5))
-# [px] Pixels of finite size blur every edge by this at least.
-_LEAST_BLUR = 0.2
-# Bounds. Uniform discs and squares have a tail of 0.05, normal blur 0, longer tails less.
-_TAILS = (-0.03, 0.06)
-_CORRELATIONS = (0, 0.98)
-# Logarithms of the blurs of both edges are alike to this; beyond the other one, more counts no
-# further.
-_ALIKE = 0.01
-_DIFFERENT = 0.1
 # Share of the pixels away from the edges that is used.
 _BESIDE_EDGES = 0.1
-# Squared length of the last step [standard errors].
-_CONVERGED = 0.1
 # Least gain of a lens over that without a cut.
 _LEAST_GAIN = 1e-3
 # Step of numerical derivatives, in the units of the parameters.
 _STEP = 1e-3
 # Relative error of the blur that both edges share: no model is more exact.
 _MODEL_FAULT = 0.02
-# Pixels of the first two fits, and of the last one.
-_FIRST_PIXELS = 10_000
-_MORE_PIXELS = 20_000
-_LAST_PIXELS = 150_000
 # [px] Centres with a larger standard error are doubtful.
 _MOST_ERROR = 0.03
-# [px] A distortion that is less in the corners moves centres by less than 0.01 px.
-_LEAST_BEND = 0.15
 # [standard errors] by which radii or shadings differ for sure.
 _SURE = 2.5
 # Errors of the model of the edges: of the radii over the blur, of the shadings over its square.
@@ -88,7 +56,7 @@ _SHADING_FAULT = 0.3
 
 
 @dataclass(frozen=True)
-class _Pixels:
+class DiscPixels:
     """Pixels of some lenses, those of a lens side by side."""
 
     rows: Integers  # (lenses,) of `Microimages`: those that have pixels
@@ -234,7 +202,7 @@ class TwoDiscs:
         """
         slope = lenses.slope
         for _ in range(2):
-            pixels = _choose_pixels(lenses, slope, self.lattice, lenses.light.size)
+            pixels = choose_pixels(lenses, slope, self.lattice, lenses.light.size)
             residual, _, gain = pixels.compare(self.parameters, np.ones(len(pixels.light)))
             gains = lenses.gain * np.maximum(gain, _LEAST_GAIN)
             slope = fit_light_slope(gains, lenses.field, lenses.reach)
@@ -280,92 +248,9 @@ def _lattice_of(lattice: Lattice, p: Floats) -> Lattice:
     return replace(lattice, origin=origin, basis=lattice.basis @ scale, distortion=bend)
 
 
-def fit_two_discs(lenses: Microimages, lattice: Lattice) -> TwoDiscs | None:
-    """The two discs that explain the microimages best, the lens first; None where there are none.
-
-    `lenses` have been fitted without a cut, on `lattice`. First on few pixels without what only
-    matters near the end, then on more, at last by Gauss-Newton steps on most of those near the
-    edges.
-    """
-    starts, spread = _starts(lenses)
-    low, high = _bounds(lenses.radius)
-    simple = spread.copy()
-    simple[[TAIL, CORRELATION]] = 0
-    try:
-        pixels = _choose_pixels(lenses, lenses.slope, lattice, _FIRST_PIXELS)
-        fits = [_minimise(pixels, start, start, simple, low, high) for start in starts]
-        misses = [np.abs(pixels.compare(p, np.ones(len(pixels.light)))[0]).mean() for p, *_ in fits]
-        nearest = int(np.argmin(misses))
-        expected = starts[nearest]
-        p, gain, _ = fits[nearest]
-        slope = _correct_slope(lenses, lenses.slope, pixels, gain)
-        pixels = _choose_pixels(lenses, slope, lattice, _MORE_PIXELS)
-        p, gain, errors = _minimise(pixels, p, expected, spread, low, high)
-        slope = _correct_slope(lenses, slope, pixels, gain)
-        if lattice.distortion is None and abs(p[BEND]) < max(
-            _LEAST_BEND, SIGNIFICANT * errors[BEND]
-        ):
-            p[BEND] = spread[BEND] = 0
-        pixels = _choose_pixels(lenses, slope, lattice, _LAST_PIXELS, p)
-        spread[(p <= low + 1e-6) | (p >= high - 1e-6)] = 0
-        p, covariance, offsets, halves = _finish(pixels, p, expected, spread, low, high)
-    except (np.linalg.LinAlgError, ValueError):
-        return None
-    found = TwoDiscs(
-        lattice, p, covariance, lenses.radius, lenses.indices[pixels.rows], offsets, halves
-    )
-    return choose_lens(found)
-
-
-def _correct_slope(lenses: Microimages, slope: Floats, pixels: _Pixels, gain: Floats) -> Floats:
-    """Slope (n, 2) [1/px] of the light with the gains of cut microimages.
-
-    These had been fitted without a cut, and the slope with them.
-    """
-    rows = pixels.rows
-    gains = lenses.gain[rows] * np.maximum(gain, _LEAST_GAIN)
-    corrected = slope.copy()
-    corrected[rows] = fit_light_slope(gains, lenses.field[rows], lenses.reach)
-    return corrected
-
-
-def _starts(lenses: Microimages) -> tuple[Floats, Floats]:
-    """Parameters (s, 19) to start from, and the standard deviations by which they may differ."""
-    radius = lenses.radius
-    starts = np.zeros((len(_STARTS), COUNT))
-    spread = np.full(COUNT, np.inf)
-    starts[:, GROWTH] = _STARTS[:, :2] * radius
-    starts[:, RADIUS] = _STARTS[:, 2:] * radius
-    slope = np.abs(lenses.rings.table[:, 1]).max()
-    starts[:, LOG_BLUR] = math.log(
-        max(lenses.core / max(slope * math.sqrt(2 * math.pi), 1e-9), 2 * _LEAST_BLUR)
-    )
-    starts[:, SHADING] = _START_SHADING
-    gap = float(lenses.profile.min() / max(lenses.profile[0], 1e-9))
-    starts[:, GAP] = min(max(gap, 0.0), 0.5)
-    starts[:, CORRELATION] = _START_CORRELATION
-    spread[RADIUS] = _RADIUS_RANGE * radius
-    for place, deviation in _DEVIATIONS:
-        spread[place] = deviation
-    return starts, spread
-
-
-def _bounds(scale: float) -> tuple[Floats, Floats]:
-    """Least and largest parameters."""
-    low = np.full(COUNT, -np.inf)
-    high = np.full(COUNT, np.inf)
-    low[RADIUS] = _RADIUS_RANGE * scale
-    high[RADIUS] = 2 * scale
-    low[LOG_BLUR] = math.log(_LEAST_BLUR)
-    high[LOG_BLUR] = math.log(0.5 * scale)
-    low[TAIL], high[TAIL] = _TAILS
-    low[CORRELATION], high[CORRELATION] = _CORRELATIONS
-    return low, high
-
-
-def _choose_pixels(
+def choose_pixels(
     lenses: Microimages, slope: Floats, lattice: Lattice, number: int, known: Floats | None = None
-) -> _Pixels:
+) -> DiscPixels:
     """Choose at most `number` unclipped pixels in the cells of the lenses.
 
     If the discs are `known`, most of the pixels are near their edges.
@@ -406,110 +291,19 @@ def _choose_pixels(
     rows, lens = np.unique(lens, return_inverse=True)
     field = lenses.field[rows]
     steps = _STEPS @ lattice.basis
-    return _Pixels(rows, place, lens, light, field, steps, lenses.radius, lenses.reach)
+    return DiscPixels(rows, place, lens, light, field, steps, lenses.radius, lenses.reach)
 
 
-def _prior(p: Floats, expected: Floats, spread: Floats) -> tuple[Floats, Floats]:
-    """Residuals of the prior knowledge, and their negative derivatives.
+def correct_slope(lenses: Microimages, slope: Floats, pixels: DiscPixels, gain: Floats) -> Floats:
+    """Slope (n, 2) [1/px] of the light with the gains of cut microimages.
 
-    Parameters have a `spread`. The blurs of both edges are alike (`_ALIKE`), or else they differ.
+    These had been fitted without a cut, and the slope with them.
     """
-    differ = float(p[LOG_BLUR][1] - p[LOG_BLUR][0])
-    root = math.sqrt(1 + (differ / _DIFFERENT) ** 2)
-    alike = np.zeros(COUNT)
-    alike[LOG_BLUR] = np.array([-1, 1]) / (_ALIKE * root**3)
-    stiff = np.diag(1 / np.where(spread > 0, spread, np.inf))
-    miss = np.append(stiff @ (expected - p), -differ / (_ALIKE * root))
-    return miss, np.vstack([stiff, alike])
-
-
-def _minimise(
-    pixels: _Pixels, p: Floats, expected: Floats, spread: Floats, low: Floats, high: Floats
-) -> tuple[Floats, Floats, Floats]:
-    """Parameters, gains and standard errors by least squares with a robust loss.
-
-    Parameters without `spread` are held.
-    """
-    from scipy.optimize import least_squares
-
-    free = np.flatnonzero(spread > 0)
-    even = np.ones(len(pixels.light))
-    noise = robust_sigma(pixels.compare(p, even)[0]) + 1e-9
-    last: dict[bytes, tuple[Floats, Floats, Floats]] = {}
-
-    def compare(values: Floats) -> tuple[Floats, Floats, Floats]:
-        if values.tobytes() not in last:
-            whole = p.copy()
-            whole[free] = values
-            residual, table, gain = pixels.compare(whole, even)
-            away, stiff = _prior(whole, expected, spread)
-            found = (
-                np.append(residual / noise, away),
-                -np.vstack([table / noise, stiff])[:, free],
-                gain,
-            )
-            last.clear()
-            last[values.tobytes()] = found
-        return last[values.tobytes()]
-
-    start = np.clip(p, low + 1e-6, high - 1e-6)[free]
-    solution: Any = least_squares(
-        lambda v: compare(v)[0],
-        start,
-        lambda v: compare(v)[1],
-        (low[free], high[free]),
-        "trf",
-        ftol=1e-4,
-        x_scale="jac",
-        loss="soft_l1",
-        f_scale=3.0,
-        tr_solver="exact",
-        max_nfev=30,
-    )
-    best = p.copy()
-    errors = np.zeros(COUNT)
-    best[free] = solution.x
-    errors[free] = np.sqrt(np.diag(np.linalg.pinv(solution.jac.T @ solution.jac)))
-    return best, compare(solution.x)[2], errors
-
-
-def _finish(
-    pixels: _Pixels, p: Floats, expected: Floats, spread: Floats, low: Floats, high: Floats
-) -> tuple[Floats, Floats, Floats, Floats]:
-    """Gauss-Newton steps with Tukey's weights from a first fit.
-
-    Returns parameters, covariance, offsets of single lenses, and `halves`.
-    """
-    free = np.flatnonzero(spread > 0)
-    weight = np.ones(len(pixels.light))
-    p = p.copy()
-    for _ in range(6):
-        residual, table, _ = pixels.compare(p, weight)
-        noise = robust_sigma(residual) + 1e-9
-        weight = biweight((residual / (TUKEY_CUTOFF * noise)) ** 2)
-        away, stiff = _prior(p, expected, spread)
-        rows = table * (weight / noise**2)[:, None]
-        prior = (stiff.T @ stiff)[np.ix_(free, free)]
-        pull = (stiff.T @ away)[free]
-        normal = (rows.T @ table)[np.ix_(free, free)] + prior
-        step = np.linalg.solve(normal, (rows.T @ residual)[free] + pull)
-        p[free] = np.clip(p[free] + step, low[free], high[free])
-        if step @ normal @ step < _CONVERGED:
-            break
-    covariance = np.zeros((COUNT, COUNT))
-    halves = np.zeros(COUNT)
-    covariance[np.ix_(free, free)] = np.linalg.inv(normal)
-    for side, sign in ((0, 1), (1, -1)):
-        own = pixels.lens % 2 == side
-        part = (rows[own].T @ table[own])[np.ix_(free, free)] + prior / 2
-        halves[free] += sign * np.linalg.solve(part, (rows[own].T @ residual[own])[free] + pull / 2)
-    shifts = table[:, :2] + table[:, 2:4]
-    first = np.searchsorted(pixels.lens, np.arange(len(pixels.field)))
-    weighted = shifts * (weight / noise**2)[:, None]
-    single = np.add.reduceat(weighted[:, :, None] * shifts[:, None, :], first)
-    force = np.add.reduceat(weighted * residual[:, None], first)
-    ridge = 1e-6 * np.trace(single.mean(0)) * np.eye(2)
-    return p, covariance, np.linalg.solve(single + ridge, force[..., None])[..., 0], halves
+    rows = pixels.rows
+    gains = lenses.gain[rows] * np.maximum(gain, _LEAST_GAIN)
+    corrected = slope.copy()
+    corrected[rows] = fit_light_slope(gains, lenses.field[rows], lenses.reach)
+    return corrected
 
 
 def choose_lens(discs: TwoDiscs) -> TwoDiscs:

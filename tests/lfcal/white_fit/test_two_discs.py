@@ -16,8 +16,9 @@ from lfcal.images.preprocessing import sqrt_luminance
 from lfcal.lattice.lens_subset import StackedCrops
 from lfcal.white_fit.disc_light import RADIUS, SHADING
 from lfcal.white_fit.fit import converge
+from lfcal.white_fit.fit_discs import fit_two_discs
 from lfcal.white_fit.microimages import cut_out
-from lfcal.white_fit.two_discs import choose_lens, fit_two_discs
+from lfcal.white_fit.two_discs import choose_lens
 
 SIZE = (640, 480)
 
