@@ -41,6 +41,7 @@ class Microimage(NamedTuple):
     bins: Any  # (2, BINS) number and sum of the patch sizes in each
     x: Any  # (stride,) [px] place of each column, from the middle of the microimage
     light: Any  # (p,) brightness
+    chosen: Any  # (p,) int8: k of its depth, -1 outside the microimage
     among: Any  # (p,) uint8: depths that are possible; pixels with one are settled
     allowed: Any  # (p,) mismatch that noise and blur explain
     apart: Any  # (p,) squared difference to another lens
@@ -82,6 +83,7 @@ def make_microimage(size):
         np.zeros((2, BINS)),
         np.zeros(stride, np.float32),
         box,
+        np.zeros(n, np.int8),
         np.zeros(n, np.uint8),
         box + np.float32(1),
         box.copy(),

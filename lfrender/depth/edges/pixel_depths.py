@@ -14,6 +14,7 @@ from numba import njit
 from lfcal.runtime.kernels import kernel
 
 from ...flat.microimages import copy_box
+from ..same_surface import depth_order
 from ..surface.scene_grid import LensArray, PointGrid
 from .candidates import list_candidates, list_depths
 from .comparison import allow_mismatch, compare_depth
@@ -30,6 +31,9 @@ _EDGE_CONTRAST = np.float32(0.045)
 # edges nine of ten lenses have less than 0.4. The first round compares with occluded lenses too.
 _FIRST_UNRELATED = 0.6
 _UNRELATED = 0.5
+# A pixel on an outline shows what is behind if it differs from there by less than this share of
+# what it differs from before. With 0.7 ten scenes lose 0.03 dB more.
+_BEHIND = 0.5
 
 
 @njit(error_model="numpy")
@@ -139,6 +143,66 @@ def _aggregate(size, stride, number, gap, work):
 
 
 @njit(error_model="numpy")
+def _choose_depths(number, size, stride, work):
+    """Fill `work.chosen` with the depth of least cost of each pixel; returns the mean mismatch of
+    those that have a choice.
+    """
+    among = work.among
+    present = work.present
+    total = work.total
+    chosen = work.chosen
+    chosen[:] = -1
+    contested = 0
+    mismatch = 0.0
+    for row in range(size):
+        for p in range(row * stride + work.left[row], row * stride + work.right[row]):
+            best = 0
+            if among[p] > 1:
+                for k in range(1, number):
+                    best = k if total[k, p] < total[best, p] else best
+                contested = contested + 1
+                mismatch += work.cost[best, p]
+            else:
+                # Settled at the only depth that is possible.
+                for k in range(1, number):
+                    best = k if present[k, p] > 0 else best
+            chosen[p] = best
+    return mismatch / max(contested, 1)
+
+
+@njit(error_model="numpy", forceinline=True)
+def _shown_depth(p, stride, gap, pitch, work):
+    """The depth that a pixel has chosen, or that of a pixel beside it behind an outline between
+    them, if most of the light of the pixel is from there.
+
+    A pixel on an outline mixes light of both sides. It matches at the nearer depth, with which
+    outlines move, whatever its shares are.
+    """
+    chosen = work.chosen
+    light = work.light
+    value = work.value
+    own = chosen[p]
+    shown = own
+    if work.among[p] < 2:
+        return shown
+    nearness = depth_order(value[own, p], pitch)
+    for step in (-1, 1, -stride, stride):
+        behind = chosen[p + step]
+        before = chosen[p - step]
+        if behind < 0 or before < 0 or work.present[behind, p] == 0:
+            continue
+        if nearness - depth_order(value[behind, p], pitch) < gap:
+            continue
+        if abs(value[before, p - step] - value[own, p]) > gap:
+            continue
+        to_behind = light[p + step] - light[p]
+        to_before = light[p] - light[p - step]
+        if to_behind * to_before >= 0 and abs(to_behind) < _BEHIND * abs(to_before):
+            shown = behind
+    return shown
+
+
+@njit(error_model="numpy")
 def _measure_lens(
     lens, pixels, shape, lenses, surface, grid, levels, before, noise2, apart, size, work, out
 ):
@@ -182,42 +246,25 @@ def _measure_lens(
         for k in range(number):
             compare_depth(pixels, shape, lens, k, left, top, size, stride, lenses, known, work)
         _aggregate(size, stride, number, lenses.gap, work)
-    among = work.among
-    present = work.present
-    total = work.total
-    value = work.value
-    cost = work.cost
-    begins = work.left
-    ends = work.right
-    every = 0
-    moved = 0
-    contested = 0
-    mismatch = 0.0
-    for row in range(size):
-        for column in range(begins[row], ends[row]):
-            p = row * stride + column
-            best = 0
-            if among[p] > 1:
-                for k in range(1, number):
-                    best = k if total[k, p] < total[best, p] else best
-                contested = contested + 1
-                mismatch += cost[best, p]
-            else:
-                # Settled at the only depth that is possible.
-                for k in range(1, number):
-                    best = k if present[k, p] > 0 else best
-            out[top + row, left + column] = value[best, p]
-            every = every + 1
-            moved = moved + (present[best, p] != OWN)
     limit = _UNRELATED
     if before.size == 1:
         limit = _FIRST_UNRELATED
-    if mismatch > limit * contested:
-        # Without a depth that matches, pixels cannot tell where the surface has edges.
-        for row in range(size):
-            for column in range(begins[row], ends[row]):
-                out[top + row, left + column] = np.nan
-        return 0.0
+    related = _choose_depths(number, size, stride, work) <= limit
+    value = work.value
+    present = work.present
+    every = 0
+    moved = 0
+    for row in range(size):
+        for column in range(work.left[row], work.right[row]):
+            # Without a depth that matches, pixels cannot tell where the surface has edges.
+            s = np.float32(np.nan)
+            if related:
+                p = row * stride + column
+                k = _shown_depth(p, stride, lenses.gap, lenses.pitch, work)
+                s = value[k, p]
+                every = every + 1
+                moved = moved + (present[k, p] != OWN)
+            out[top + row, left + column] = s
     return moved / max(every, 1)
 
 
