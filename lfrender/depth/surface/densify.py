@@ -165,9 +165,7 @@ def densify(
             np.copyto(depths[0], old, where=~changed)
         # Pixels that differ by no more than twice their noise match.
         floor = np.float32(4 * noise * noise)
-        propose_hypotheses(
-            gray.image, table, agreeing, lenses, points, floor, depths, costs, open_, coarse
-        )
+        propose_hypotheses(gray.image, table, agreeing, lenses, points, floor, depths, costs, open_)
         # A depth edge costs 0.35 in units of the mismatch. A step of a coarser grid stands for
         # several steps, and so does its mismatch: both are scaled alike.
         return depths, _choose(depths, costs, gap, np.float32(0.35 * part))

@@ -10,7 +10,7 @@ from numba import njit
 from lfcal.runtime.kernels import FAST, kernel
 
 from ...flat.lens_graph import nearest_index
-from ..same_surface import depth_order, same_surface
+from ..same_surface import depth_order
 from .scene_grid import LensArray, PointGrid, lens_at
 
 __all__ = ["MAX_HYPOTHESES", "propose_hypotheses"]
@@ -241,23 +241,6 @@ def _cluster_votes(number, sizes, weights, gap, depths, shares):
     return found
 
 
-@njit(error_model="numpy")
-def _keep_coarse(coarse, v, u, gap, depths, weights, count):
-    """Keep those of `count` hypotheses that a value of twice the spacing about point (v, u) has;
-    all if none has.
-    """
-    kept = 0
-    for k in range(count):
-        near = False
-        for y in range(max(v - 1, 0) // 2, min((v + 2) // 2, len(coarse) - 1) + 1):
-            for x in range(max(u - 1, 0) // 2, min((u + 2) // 2, coarse.shape[1] - 1) + 1):
-                near = near or same_surface(coarse[y, x], depths[k], gap)
-        if near:
-            depths[kept], weights[kept] = depths[k], weights[k]
-            kept += 1
-    return kept if kept else count
-
-
 @njit(error_model="numpy", forceinline=True)
 def _measure_mismatch(
     image,
@@ -318,16 +301,13 @@ def propose_hypotheses(
     depths,
     costs,
     wanted,
-    coarse,
 ):
     """Depth hypotheses of each `wanted` scene point in `depths`, their cost in `costs`, both (most,
     rows, columns).
 
-    Where all lenses around agree there is one; the place after the last one stays NaN. Of the
-    `coarse` surface of twice the spacing, (0, 0) if there is none, only hypotheses that one of its
-    values about a point has are kept. `table` (n, 5) float32 holds the centre of each lens, its
-    weight and its two patch sizes; around the `agreeing` ones
-    (n,) all have one depth. A squared difference of views up to `floor` is noise.
+    Where all lenses around agree there is one; the place after the last one stays NaN. `table`
+    (n, 5) float32 holds the centre of each lens, its weight and its two patch sizes; around the
+    `agreeing` ones (n,) all have one depth. A squared difference of views up to `floor` is noise.
     """
     most, _, columns = depths.shape
     # Arrays are taken out of the tuple once: each access counts references.
@@ -390,8 +370,6 @@ def propose_hypotheses(
             everyone = shares[:found].sum()
             number = _sort_votes(nearby, found, voters, shares, sizes, weights)
             found = _cluster_votes(number, sizes, weights, gap, own, prices)
-            if coarse.size > 0:
-                found = _keep_coarse(coarse, v, u, gap, own, prices, found)
             if found > 1:
                 shown = _find_central(nearby, count, distance, central, near_x, near_y)
                 _measure_mismatch(
