@@ -202,13 +202,13 @@ class Microimages:
     def measure_shade(self, lattice: Lattice) -> Floats:
         """Slope (n, 2) [1/px] of the light of each microimage without that of its neighbours.
 
-        It is measured in the middles of some of the microimages.
+        It is measured in the middles of some of the microimages, those that are not clipped.
         """
-        if np.isfinite(self.saturation):
-            return np.zeros_like(self.slope)
         some = self.thin(_SLOPE_PIXELS)
         x, y = some.places()
         inside = np.hypot(x, y) < _INNER * self.cell.inradius
+        clipped = inside & (some.light >= some.saturation)
+        inside = inside & ~clipped.any((1, 2), keepdims=True)
         model = (
             np.interp(np.hypot(x, y), np.arange(len(self.profile)) * _RING_STEP, self.profile)
             * inside
