@@ -36,6 +36,8 @@ _PLACE = 0.25
 # [px] Width of the rings in which defects are counted, and how many of them hold a rim.
 _RING = 0.5
 _RIM_RINGS = 3
+# Pixels that the shares of the rings are measured on.
+_SAMPLED = 100_000
 _AROUND = np.ones((3, 3), np.uint8)
 # Places that are compared at once, so that memory does not grow with the flat.
 _PART = 20_000
@@ -92,9 +94,9 @@ def are_rims(bad: Booleans, lit: Booleans, lattice: Lattice) -> Booleans:
 
     Where values are cut off, the pixels of rims are lit or dark by chance.
     """
-    rows, columns = np.nonzero(lit)
-    some = evenly(len(rows), ENOUGH_PIXELS)
-    ring = _rings(np.column_stack([columns[some], rows[some]]), lattice)[1]
+    places = np.flatnonzero(lit)
+    rows, columns = np.divmod(places[evenly(len(places), _SAMPLED)], lit.shape[1])
+    ring = _rings(np.column_stack([columns, rows]), lattice)[1]
     rings = int(np.ceil(lattice.pitch / _RING))
     share = np.bincount(ring, minlength=rings) / max(len(ring), 1)
     rows, columns = np.nonzero(bad)
