@@ -11,6 +11,7 @@ of the nearest lenses by more than these scatter.
 from __future__ import annotations
 
 from statistics import NormalDist
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from ..gain.rows import RegionGain
 from ..lattice.lattice import Lattice
 from ..lattice.robust_fit import MAD_TO_SIGMA, SIGNIFICANT
 from ..runtime.arrays import ENOUGH_PIXELS, NINE_TENTHS, Booleans, Integers, Singles, evenly
+from ..runtime.kernels import kernel
 from .lens_light import LensLights
 
 __all__ = ["are_rims", "find_defects"]
@@ -27,6 +29,8 @@ __all__ = ["are_rims", "find_defects"]
 _TENTH_TO_SIGMA = 1 / NormalDist().inv_cdf(NINE_TENTHS[2])
 # Levels of light, at each of which the noise is measured.
 _LEVELS = 32
+# [standard deviations] larger residuals are clipped for means over squares.
+_MOST = np.float32(3)
 # [px] Sides of the squares over which residuals are averaged.
 _SQUARES = (3, 7)
 # [px] Errors of the place of rims within a pixel, which lenses share out among pixels by chance.
@@ -118,42 +122,78 @@ def _rings(places: Integers, lattice: Lattice) -> tuple[Integers, Integers]:
     return lens, (distance / _RING).astype(np.int64)
 
 
-def _compute_residuals(
-    picture: Singles, lattice: Lattice, lights: LensLights
-) -> tuple[Singles, Singles, Singles]:
-    """Differences (h, w) of the pixels from the gain map, in standard deviations.
-
-    The deviations are those of pixels that should be as bright. The differences are clipped and
-    have mean 0.
-
-    Clipped ones are for means over squares: one bright pixel does not make a square of them a
-    defect. Third are the differences of single pixels, less what rims explain that lie beside those
-    of the map.
+class _Residuals(NamedTuple):
+    """Differences (h, w) of the pixels from the gain map, in standard deviations of those that
+    should be as bright; NaN in unlit lenses.
     """
+
+    single: Any
+    # Clipped, with mean 0 and 0 in unlit lenses, for means over squares: one bright pixel does not
+    # make a square of them a defect
+    clipped: Any
+    isolated: Any  # less what rims explain that lie beside those of the map
+
+
+@kernel(error_model="numpy", share=lambda picture, *_: len(picture))
+def _standardise(begin, end, picture, gain, lowest, highest, brightest, noise, residuals):
+    """Fill the `residuals`; `lowest` and `highest` are the light of the map around each pixel,
+    `noise` (4, _LEVELS) are median, deviation, mean of the clipped residual, and weight.
+    """
+    single, clipped, isolated = residuals
+    middle, scale, mean, even = noise
+    zero = np.float32(0)
+    one = np.float32(1)
+    two = np.float32(2)
+    least = np.float32(1e-6)
+    place = np.float32(_PLACE / 2)
+    for y in range(begin, end):
+        for x in range(picture.shape[1]):
+            value = picture[y, x]
+            root = np.sqrt(max(gain[y, x], zero))
+            k = min(int(root * np.float32(_LEVELS)), _LEVELS - 1)
+            expected = root * brightest
+            low = np.sqrt(max(lowest[y, x], zero)) * brightest
+            high = np.sqrt(max(highest[y, x], zero)) * brightest
+            left = (value - expected - middle[k]) / scale[k]
+            # What lies beyond the light of the map around is not explained by a misplaced rim.
+            beyond = (value - min(max(value, low), high)) / scale[k]
+            tolerance = (high - low) * place / scale[k]
+            # Noise is symmetric in the light of a pixel, not in its root.
+            darker = min((value + expected) / max(two * expected, least), one)
+            of_rim = (left - beyond) / np.sqrt(one + tolerance * tolerance)
+            isolated[y, x] = (beyond + of_rim) * darker
+            single[y, x] = left
+            clipped[y, x] = (min(max(left, -_MOST), _MOST) - mean[k]) * even[k]
+            if gain[y, x] == 0:
+                single[y, x] = np.nan
+                clipped[y, x] = 0
+
+
+def _compute_residuals(picture: Singles, lattice: Lattice, lights: LensLights) -> _Residuals:
     import cv2
 
     gain = RegionGain(lights.gain, lattice).at(0, 0, *lattice.image_size, least_light=-np.inf)
-    unlit = gain == 0
-    np.sqrt(np.maximum(gain, 0, out=gain), out=gain)
-    brightest = float(np.sqrt(lights.brightest))
-    level = np.clip(gain * _LEVELS, 0, _LEVELS - 1).astype(np.uint8)
-    gain *= brightest
-    # What lies beyond the light of the map around a pixel is not explained by a misplaced rim.
+    brightest = np.float32(np.sqrt(lights.brightest))
     lowest = np.asarray(cv2.erode(gain, _AROUND), np.float32)
     highest = np.asarray(cv2.dilate(gain, _AROUND), np.float32)
-    beyond = picture - np.clip(picture, lowest, highest)
-    tolerance = np.subtract(highest, lowest, out=highest)
-    tolerance *= _PLACE / 2
-    # Noise is symmetric in the light of a pixel, not in its root.
-    darker = np.clip((picture + gain) / np.maximum(2 * gain, np.float32(1e-6)), 0, 1)
-    residual = np.subtract(picture, gain, out=gain)
+    residuals = _Residuals(*(np.empty_like(picture) for _ in range(3)))
+    noise = _measure_noise(picture, gain, brightest)
+    _standardise(picture, gain, lowest, highest, brightest, noise, residuals)
+    return residuals
+
+
+def _measure_noise(picture: Singles, gain: Singles, brightest: np.float32) -> Singles:
+    """(4, _LEVELS) `noise` of `_standardise`, from a sample of the pixels."""
+    sample = evenly(picture.size, ENOUGH_PIXELS)
+    light = gain.ravel()[sample]
+    root = np.sqrt(np.maximum(light, 0))
+    difference = picture.ravel()[sample] - root * brightest
+    level = np.minimum((root * _LEVELS).astype(np.uint8), _LEVELS - 1)
+    level[light == 0] = _LEVELS
     middle, mean = np.zeros((2, _LEVELS), np.float32)
     scale, even = np.ones((2, _LEVELS), np.float32)
-    sample = evenly(residual.size, ENOUGH_PIXELS)
-    some = residual.ravel()[sample]
-    of = np.where(unlit, _LEVELS, level).ravel()[sample]
     for k in range(_LEVELS):
-        own = some[of == k]
+        own = difference[level == k]
         if len(own):
             middle[k] = np.median(own)
             # Where noise is cut off at black, more than half of the pixels may have the same value.
@@ -164,20 +204,12 @@ def _compute_residuals(
                 )
             )
             # The root of dark pixels is steep.
-            least = _HARMLESS * brightest / np.sqrt((k + 0.5) / _LEVELS)
+            least = _HARMLESS * float(brightest) / np.sqrt((k + 0.5) / _LEVELS)
             scale[k] = max(noise, least)
             even[k] = scale[k] / max(noise, 3 * least)
             # Noise of dark pixels is not symmetric.
-            mean[k] = np.clip((own - middle[k]) / scale[k], -3, 3).mean()
-    residual -= middle[level]
-    residual /= scale[level]
-    residual[unlit] = np.nan
-    clipped = (np.clip(residual, -3, 3) - mean[level]) * even[level]
-    beyond /= scale[level]
-    tolerance /= scale[level]
-    isolated = beyond + (residual - beyond) / np.sqrt(1 + tolerance * tolerance)
-    isolated *= darker
-    return residual, np.nan_to_num(clipped, copy=False), isolated
+            mean[k] = np.clip((own - middle[k]) / scale[k], -_MOST, _MOST).mean()
+    return np.stack([middle, scale, mean, even])
 
 
 def _differs_from_lenses(values: Singles, places: Integers, lattice: Lattice) -> Booleans:
