@@ -10,6 +10,7 @@ of the nearest lenses by more than these scatter.
 
 from __future__ import annotations
 
+import sys
 from statistics import NormalDist
 from typing import Any, NamedTuple
 
@@ -80,15 +81,14 @@ def find_defects(picture: Singles, lattice: Lattice, lights: LensLights) -> tupl
             # A large square that reaches over the rim of a speck does not make its middle part of
             # it.
             differs &= small < -3
-        rows, columns = np.nonzero(differs & ~bad)
-        places = np.column_stack([columns, rows])
+        places = _places(differs & ~bad)
         for start in range(0, len(places), _PART):
             part = places[start : start + _PART]
             x, y = part[_differs_from_lenses(values, part, lattice)].T
             bad[y, x] = True
         if values is residual:
             bad[bad] = ~are_rims(bad, np.isfinite(residual), lattice)
-    pixels = np.argwhere(bad)[:, ::-1].astype(np.int32)
+    pixels = _places(bad).astype(np.int32)
     unlit = lattice.indices()[lights.unlit].astype(np.int32)
     return Defects(pixels, unlit), float(outside.sum() / max(np.isfinite(residual).sum(), 1))
 
@@ -98,13 +98,10 @@ def are_rims(bad: Booleans, lit: Booleans, lattice: Lattice) -> Booleans:
 
     Where values are cut off, the pixels of rims are lit or dark by chance.
     """
-    places = np.flatnonzero(lit)
-    rows, columns = np.divmod(places[evenly(len(places), _SAMPLED)], lit.shape[1])
-    ring = _rings(np.column_stack([columns, rows]), lattice)[1]
+    ring = _rings(_places(lit, _SAMPLED), lattice)[1]
     rings = int(np.ceil(lattice.pitch / _RING))
     share = np.bincount(ring, minlength=rings) / max(len(ring), 1)
-    rows, columns = np.nonzero(bad)
-    lens, ring = _rings(np.column_stack([columns, rows]), lattice)
+    lens, ring = _rings(_places(bad), lattice)
     seen = np.unique(np.column_stack([lens, ring]), axis=0)
     # A speck of dust covers more rings of a lens than a rim does, those in its middle too.
     number, count = np.unique(seen[:, :2], axis=0, return_inverse=True, return_counts=True)[1:]
@@ -113,6 +110,13 @@ def are_rims(bad: Booleans, lit: Booleans, lattice: Lattice) -> Booleans:
     expected = len(ring) * share
     rims = often > expected + SIGNIFICANT * np.sqrt(expected + 1)
     return np.convolve(rims, np.ones(3), "same")[ring] > 0
+
+
+def _places(chosen: Booleans, most: int = sys.maxsize) -> Integers:
+    """(n, 2) [px] of the chosen pixels (h, w), or of so many of them, evenly spread."""
+    pixels = np.flatnonzero(chosen)
+    rows, columns = np.divmod(pixels[evenly(len(pixels), most)], chosen.shape[1])
+    return np.column_stack([columns, rows])
 
 
 def _rings(places: Integers, lattice: Lattice) -> tuple[Integers, Integers]:
@@ -140,30 +144,39 @@ def _standardise(begin, end, picture, gain, lowest, highest, brightest, noise, r
     `noise` (4, _LEVELS) are median, deviation, mean of the clipped residual, and weight.
     """
     single, clipped, isolated = residuals
-    middle, scale, mean, even = noise
     zero = np.float32(0)
     one = np.float32(1)
     two = np.float32(2)
     least = np.float32(1e-6)
     place = np.float32(_PLACE / 2)
+    width = picture.shape[1]
+    # Tables are looked up apart: loops that do are not turned into vector instructions.
+    expected = np.empty(width, np.float32)
+    middle, scale, mean, even = np.empty((4, width), np.float32)
     for y in range(begin, end):
-        for x in range(picture.shape[1]):
-            value = picture[y, x]
+        for x in range(width):
             root = np.sqrt(max(gain[y, x], zero))
             k = min(int(root * np.float32(_LEVELS)), _LEVELS - 1)
-            expected = root * brightest
+            expected[x] = root * brightest
+            middle[x] = noise[0, k]
+            scale[x] = noise[1, k]
+            mean[x] = noise[2, k]
+            even[x] = noise[3, k]
+        for x in range(width):
+            value = picture[y, x]
             low = np.sqrt(max(lowest[y, x], zero)) * brightest
             high = np.sqrt(max(highest[y, x], zero)) * brightest
-            left = (value - expected - middle[k]) / scale[k]
+            left = (value - expected[x] - middle[x]) / scale[x]
             # What lies beyond the light of the map around is not explained by a misplaced rim.
-            beyond = (value - min(max(value, low), high)) / scale[k]
-            tolerance = (high - low) * place / scale[k]
+            beyond = (value - min(max(value, low), high)) / scale[x]
+            tolerance = (high - low) * place / scale[x]
             # Noise is symmetric in the light of a pixel, not in its root.
-            darker = min((value + expected) / max(two * expected, least), one)
+            darker = min((value + expected[x]) / max(two * expected[x], least), one)
             of_rim = (left - beyond) / np.sqrt(one + tolerance * tolerance)
             isolated[y, x] = (beyond + of_rim) * darker
             single[y, x] = left
-            clipped[y, x] = (min(max(left, -_MOST), _MOST) - mean[k]) * even[k]
+            clipped[y, x] = (min(max(left, -_MOST), _MOST) - mean[x]) * even[x]
+        for x in range(width):
             if gain[y, x] == 0:
                 single[y, x] = np.nan
                 clipped[y, x] = 0
