@@ -183,9 +183,11 @@ def _iterate(design, shift, prior, spread, basis, ratio, change, weight):
         for k in range(len(weight)):
             near = max(1 - square[k] / (variance * _OUTLIER * _OUTLIER), 0.0)
             weight[k] = near * near * prior[k] / variance
-        before = origin, first, second
+        before = (origin, first, second)
         origin, first, second = _fit(design, shift, weight, basis, ratio)
-        moved = max(abs(origin - before[0]), abs(first - before[1]), abs(second - before[2]))
+        moved = 0.0
+        for step in (origin - before[0], first - before[1], second - before[2]):
+            moved = max(moved, abs(step.real), abs(step.imag))
         if moved < _SETTLED:
             break
     change[0] = origin
