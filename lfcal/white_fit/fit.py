@@ -14,6 +14,7 @@ pixels, rings and lenses follow the residuals (IRLS).
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,6 +33,7 @@ from ..lattice.robust_fit import (
     tukey_weights,
 )
 from ..lattice.standard_errors import LatticeErrors, Residuals
+from ..microimage.edge import blurred_edge, gaussian_edge
 from ..runtime.arrays import Floats, Singles
 from ..runtime.errors import CalibrationError
 from .any_shape import AnyMicroimages
@@ -44,7 +46,7 @@ from .microimages import (
     measure_narrowing,
 )
 from .spots import are_spots, fit_spots
-from .squares import SquareMicroimages
+from .squares import SquareMicroimages, mean_residual
 from .two_discs import TwoDiscs
 
 __all__ = ["fit_lattice_to_white_image", "fit_white", "refine_on_parts"]
@@ -388,22 +390,28 @@ def _fit_squares(fit: Fit, plain: Fit) -> Fit:
     if squares is None:
         return fit
     whole = fit.lenses.thin(_COMPARED).residuals()
-    if _cost_ratio(squares.residuals(), whole) > _STRAIGHT:
+    # Beside their true centres, squares explain less than they will.
+    if _cost_ratio(squares.residuals(), whole) > 1:
         return fit
-    found = plain
-    try:
-        # Edges of squares turned by 45 degrees are learned slowly.
-        for _ in range(_ROUNDS):
-            found = converge(found.lattice, squares.choose_edge(), plain.orders)
-            assert isinstance(found.lenses, SquareMicroimages)
-            squares = found.lenses
-        found = _select_orders(found)
-    except (CalibrationError, ValueError):
+    converged = []
+    # A lens out of focus blurs over a disc, aberrations and pixels over something like a Gaussian.
+    for edge in (blurred_edge, gaussian_edge):
+        with suppress(CalibrationError, ValueError):
+            converged.append(_converge_squares(plain, replace(squares, edge=edge)))
+    if not converged:
         return fit
-    assert isinstance(found.lenses, SquareMicroimages)
-    if _cost_ratio(found.lenses.residuals(), whole) < _STRAIGHT:
-        return found
-    return fit
+    found = _select_orders(min(converged, key=lambda one: mean_residual(one.lenses)))
+    return found if _cost_ratio(found.lenses.residuals(), whole) < _STRAIGHT else fit
+
+
+def _converge_squares(plain: Fit, squares: SquareMicroimages) -> Fit:
+    """The fit with square microimages, from the lattice of a `plain` one."""
+    # Blurs of another kind of edge have another meaning.
+    found = replace(plain, lenses=squares.learn_shape().learn_shape())
+    # Edges of squares turned by 45 degrees are learned slowly.
+    for _ in range(_ROUNDS):
+        found = converge(found.lattice, found.lenses, plain.orders)
+    return found
 
 
 def _fit_any_shape(fit: Fit) -> Fit:

@@ -16,12 +16,12 @@ import numpy as np
 from ..lattice.lattice import Lattice
 from ..lattice.robust_fit import TUKEY_CUTOFF, biweight
 from ..microimage.average import estimate_variance
-from ..microimage.edge import EdgeLight, blurred_edge, gaussian_edge
+from ..microimage.edge import EdgeLight, blurred_edge
 from ..runtime.arrays import Floats, Integers
 from .kernel import Sums
 from .microimages import Microimages
 
-__all__ = ["SquareMicroimages"]
+__all__ = ["SquareMicroimages", "mean_residual"]
 
 # Pixels that are used: with them centres are right to a thousandth of a pixel.
 _PIXELS = 6e5
@@ -80,19 +80,11 @@ class SquareMicroimages(Microimages):
         lit = float(sharp.compare().residual.mean())
         sharp.shape[:2] = widths / 2 * np.sqrt(np.clip(lit, 0.5, 1))
         soft = replace(sharp, shape=sharp.shape + _SOFTER)
-        found = min(sharp, soft, key=_mean_residual)
+        found = min(sharp, soft, key=mean_residual)
         # Wide blurs need more passes; beside the true centres these can also lead away.
         first = found.learn_shape()
         later = first.learn_shape().learn_shape().learn_shape()
-        return min(first, later, key=_mean_residual)
-
-    def choose_edge(self) -> SquareMicroimages:
-        """The microimages with edges that a Gaussian blurs if these are nearer to the pixels.
-
-        A lens out of focus blurs over a disc, aberrations and pixels over something like a Gaussian.
-        """
-        gaussian = replace(self, edge=gaussian_edge).learn_shape().learn_shape()
-        return min(self, gaussian, key=_mean_residual)
+        return min(first, later, key=mean_residual)
 
     def compare(self, near: float = _NEAR) -> _Comparison:
         """Compare the unclipped pixels in the cells, at most `near` [px] inside the edges."""
@@ -192,5 +184,5 @@ class SquareMicroimages(Microimages):
         )
 
 
-def _mean_residual(squares: SquareMicroimages) -> float:
+def mean_residual(squares: Microimages) -> float:
     return float(np.abs(squares.residuals()).mean())
