@@ -200,8 +200,9 @@ class Calibration(Frozen):
         )
 
     def digest(self, flat: Array) -> str:
-        """Digest of every 16th row of a flat, whose noise is that of no other, together with the
-        places and types of the microlenses.
+        """Digest of every 16th row of a flat, together with the places and types of the microlenses.
+
+        Noise makes these rows differ from those of any other flat.
         """
         lattice = self.lattice
         rows = np.asarray(flat)[::16]

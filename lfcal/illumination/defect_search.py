@@ -150,7 +150,7 @@ def _standardise(begin, end, picture, gain, lowest, highest, brightest, noise, r
     least = np.float32(1e-6)
     place = np.float32(_PLACE / 2)
     width = picture.shape[1]
-    # Tables are looked up apart: loops that do are not turned into vector instructions.
+    # Tables are read in a loop of their own: a loop that reads tables is not vectorised.
     expected = np.empty(width, np.float32)
     middle, scale, mean, even = np.empty((4, width), np.float32)
     for y in range(begin, end):

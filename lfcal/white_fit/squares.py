@@ -185,4 +185,5 @@ class SquareMicroimages(Microimages):
 
 
 def mean_residual(squares: Microimages) -> float:
+    """Mean absolute difference of the pixels in the cells from the model, over the light."""
     return float(np.abs(squares.residuals()).mean())
