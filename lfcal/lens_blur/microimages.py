@@ -52,17 +52,11 @@ _RADII = (0.1, 0.8)
 _LOW = (0.05, 0.3, -1.0, -0.1)
 _MOST_BLUR = 0.5
 _HIGH = (1.7, 1.0, 0.9)
-# Standard deviations of shading and stray light about the start, and of a pixel of a tile: they
-# matter only where the pixels do not tell these.
-_SPREADS = np.array([0.3, 0.2])
-_PIXEL_ERROR = 0.002
 # Light beyond which misfits count less.
 _MISFIT = 0.03
 # Misfits over those of round discs below which sides are straight, and beyond which there are none.
 _STRAIGHT = 0.8
 _MOST_MISFIT = 0.15
-# [radius] Shading grows no further beyond this.
-_SHADED = 1.2
 # [px] Side of the squares, of white images and of scenes, and how many of them are compared. With
 # sides of 1 px, discs of 2.2 px on white images were 0.05 px too wide, and those of 0.2 px 0.4 px.
 # Smaller squares of scenes hold too few pixels to average their content.
@@ -261,10 +255,10 @@ class _Model:
             if len(self.cut):
                 inside = self.cut[3] - np.hypot(*(away - self.cut[:2] - self.cut[2] * tile.place).T)
                 seen *= blurred_edge(inside, 2 * self.cut[4], width).light
-            square = np.minimum(far / radius, _SHADED) ** 2
+            square = (far / radius) ** 2
             shade = 1 + p[-2] * square
             total[rows] += level * shade * seen[0]
-            of_shade = np.where(square < _SHADED**2, -2 * p[-2] * square / radius, 0)
+            of_shade = -2 * p[-2] * square / radius
             slopes[rows, kind] += level * (shade * seen[1] + of_shade * seen[0])
             slopes[rows, t + kind] += level * shade * seen[2]
             slopes[rows, 2 * t + kind] += shade * seen[0]
@@ -278,8 +272,6 @@ class _Model:
         root = np.sqrt(tile.weight / tile.weight.mean())
         low = self.start(_RADII[0] * self.pitch, *_LOW)
         high = self.start(_RADII[1] * self.pitch, _MOST_BLUR * self.pitch, *_HIGH)
-        # Shading and stray light that the pixels do not tell stay as at the start.
-        stiff = _PIXEL_ERROR * np.sqrt(len(root)) / _SPREADS
 
         # The solver asks for the slopes where it has just asked for the misfits.
         @lru_cache(1)
@@ -287,12 +279,10 @@ class _Model:
             return self.light(tile, np.frombuffer(parameters))
 
         def miss(p: Array) -> Array:
-            left = root * (light(p.tobytes())[0] - tile.light)
-            return np.append(left, stiff * (p[-2:] - _START[-2:]))
+            return root * (light(p.tobytes())[0] - tile.light)
 
         def slopes(p: Array) -> Array:
-            known = np.eye(len(p))[-2:] * stiff[:, None]
-            return np.vstack([root[:, None] * light(p.tobytes())[1], known])
+            return root[:, None] * light(p.tobytes())[1]
 
         found = least_squares(
             miss,
@@ -305,7 +295,7 @@ class _Model:
             xtol=1e-4,
             max_nfev=25,
         )
-        return found.x, float(np.sqrt((found.fun[: len(root)] ** 2).mean()))
+        return found.x, float(np.sqrt((found.fun**2).mean()))
 
 
 def _blurred_disc(far: Array, radius: Array, blur: Array, width: float) -> Array:
