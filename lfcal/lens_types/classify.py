@@ -41,9 +41,10 @@ _NOISE = 12
 _DETAIL = 3
 # If the power of the gradients over that of a mosaic is larger, the scene itself repeats.
 _REPEATING = 0.3
-# Least differences between types: of the light beyond rims and in the middle, and of the logarithm
-# of sharpness; where lattice and pixels beat, of both that beats change.
+# Least differences between types: of the light beyond rims, before them and in the middle, and of
+# the logarithm of sharpness; where lattice and pixels beat, of both that beats change.
 _OUTER_LIGHT = 0.012
+_INNER_LOSS = 0.015
 _LEVEL = 0.004
 _SHARPNESS = 0.04
 _WITH_BEATS = 0.07
@@ -173,10 +174,15 @@ def _strengths(
 def _list_features(
     sample: LensSample, features: LensFeatures, disparity: Floats, white: bool
 ) -> list[_Feature]:
-    # Where lattice and pixels beat, the pixel grid cuts edges differently.
+    # Where lattice and pixels beat, the pixel grid cuts edges differently: only their inner side
+    # can be used. On white images it can in any case, where no scene changes it.
     beats = _beats(_VECTORS, sample.lattice)
     outer_light = _differences(sample, features.outer_light)
-    found = [_Feature(outer_light, np.where(beats, _WITH_BEATS, _OUTER_LIGHT))]
+    inner_loss = _differences(sample, features.inner_loss)
+    found = [
+        _Feature(outer_light, np.where(beats, _WITH_BEATS, _OUTER_LIGHT)),
+        _Feature(inner_loss, np.where(beats | white, _INNER_LOSS, np.inf)),
+    ]
     if white:
         level = _differences(sample, features.level)
         return [*found, _Feature(level, np.full(len(beats), _LEVEL))]

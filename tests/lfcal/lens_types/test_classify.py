@@ -70,6 +70,15 @@ def test_three_types_are_found_in_a_scene_and_ordered_from_large_to_small_patch_
     assert not camera.warnings
 
 
+def test_types_of_a_white_image_are_found_where_lattice_and_pixels_repeat_like_them():
+    # Every third lens lies alike on the pixels, which cut edges differently in the others.
+    taken = capture("ramp", _FOCI, pitch=52 / 3)
+    camera = lfcal.calibrate(taken.white, kind="white")
+    true = taken.truth.calibration.lattice
+    found, index = types_at(camera, true.origin, true.basis)
+    np.testing.assert_array_equal(found, (index[:, 0] - index[:, 1]) % 3)
+
+
 def test_types_are_found_without_detail_by_the_blur_of_their_rims():
     taken = capture("ramp", _FOCI)
     lattice = taken.truth.calibration.lattice
