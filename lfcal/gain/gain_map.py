@@ -10,6 +10,7 @@ over the field is a low-order polynomial of the place.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -37,6 +38,7 @@ __all__ = [
     "Defects",
     "GainMap",
     "Vignetting",
+    "choose_degree",
     "count_terms",
     "field_monomials",
     "first_half",
@@ -417,6 +419,12 @@ def count_terms(degree: int) -> int:
     return (degree + 1) * (degree + 2) // 2
 
 
+def choose_degree(lenses: int, degrees: Sequence[int]) -> int:
+    """The first of some degrees of a polynomial of the field that so many lenses can tell, or 0."""
+    enough = [d for d in degrees if lenses >= _LENSES_PER_TERM * count_terms(d)]
+    return enough[0] if enough else 0
+
+
 def first_half(light: Floats, step: float, limit: float) -> Floats:
     """Distance (...) [px], at most `limit`, at which profiles (..., k) first fall below a half.
 
@@ -453,11 +461,11 @@ def fit_light(lights: NDArray[np.floating], field: Floats) -> Floats:
     """
     some = evenly(len(lights), ENOUGH_LENSES)
     log = np.log(np.maximum(lights[some], 1e-12))
-    for degree in (*_DEGREES, 0):
-        if len(log) >= _LENSES_PER_TERM * count_terms(degree) or degree == 0:
-            level = _fit_polynomial(log, field_monomials(field[some], count_terms(degree)))
-            if np.abs(level[1:]).max(initial=0) <= _LARGEST["level"]:
-                break
+    for lower in range(len(_DEGREES) + 1):
+        degree = choose_degree(len(log), _DEGREES[lower:])
+        level = _fit_polynomial(log, field_monomials(field[some], count_terms(degree)))
+        if np.abs(level[1:]).max(initial=0) <= _LARGEST["level"]:
+            break
     return level
 
 

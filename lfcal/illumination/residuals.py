@@ -38,7 +38,7 @@ _FEWEST_LENSES = 200
 # Windows of the field each way, if six lenses fall into each.
 _WINDOWS = np.array([8, 6])
 # Terms of third order in the field.
-_WINDOW_TERMS = count_terms(3)
+_TERMS = count_terms(3)
 #: [radius] Disc in the middle in which the light of a lens is measured, on scenes and white images.
 CORES = (0.6, 0.5)
 # Least light of a plane over that in the middle, and light through the cutting disc behind it.
@@ -55,15 +55,15 @@ class Sample(NamedTuple):
 
     indices: Integers  # (n, 2) of the lattice
     field: Array  # (n, 2) places of the lenses in the field
+    terms: Array  # (n, 10) their `field_monomials`
     window: Integers  # (n,) of the field that each lens lies in
-    window_terms: Array  # (windows, 10) `field_monomials` of the mean place of its lenses
     pixels: LensPixels  # (p,) luminance
     clipping: float  # luminance from which on pixels count as clipped; infinite for white images
 
     @property
     def windows(self) -> int:
         """Number of windows."""
-        return len(self.window_terms)
+        return int(self.window.max(initial=-1)) + 1
 
     def evaluate(self, gain: GainMap) -> Array:
         """(3, p) relative light of each pixel, distance on the profile [px], share not cut off."""
@@ -101,14 +101,12 @@ def draw_sample(
     shape = np.maximum(1, _WINDOWS * shrink).astype(int)
     column, row = np.minimum((centres + 0.5) / lattice.image_size * shape, shape - 1).astype(int).T
     window = np.unique(row * shape[0] + column, return_inverse=True)[1].ravel()
-    count = np.bincount(window)
-    middle = np.column_stack([np.bincount(window, way) / count for way in centres.T])
     own = LensPixels.of(crops.picture, places, cell, (stride, stride * step))
     own = own._replace(value=own.value**2)
     field = lattice.field_place(centres)
-    terms = field_monomials(lattice.field_place(middle), _WINDOW_TERMS)
+    terms = field_monomials(field, _TERMS)
     clipping = CLIPPED_LIGHT * float(own.value.max()) if scene else math.inf
-    return Sample(indices[chosen], field, window, terms, own, clipping)
+    return Sample(indices[chosen], field, terms, window, own, clipping)
 
 
 class Residuals(NamedTuple):

@@ -6,7 +6,10 @@ import numpy as np
 
 import lfcal
 from lfcal.gain.gain_map import field_monomials
+from lfcal.illumination.estimate import estimate_gain
 from lfcal.lattice.lattice import Lattice
+
+LATTICE = Lattice([12.3, 9.1], [[20.37, 0.41], [-0.41, 20.37]], (640, 480), 8.0)
 
 
 def inside_discs(truth, camera, margin):
@@ -49,3 +52,31 @@ def test_field_monomials_are_powers_of_the_place():
     x, y = ((points - [150, 100]) / (np.hypot(301, 201) / 2)).T
     wanted = np.column_stack([x ** (d - b) * y**b for d in range(5) for b in range(d + 1)])
     np.testing.assert_allclose(field_monomials(lattice.field_place(points), 15), wanted, atol=1e-12)
+
+
+def draw_rims(third: float, field: float) -> np.ndarray:
+    """Root of the light of discs whose rim has a third harmonic [px] that changes over the field."""
+    y, x = np.mgrid[: LATTICE.image_size[1], : LATTICE.image_size[0]]
+    points = np.column_stack([x.ravel(), y.ravel()]).astype(float)
+    centres = LATTICE.points(np.rint(LATTICE.to_index(points)))
+    dx, dy = (points - centres).T
+    across = LATTICE.field_place(centres)[:, 0]
+    rim = 8 + (third + field * across) * np.cos(3 * np.arctan2(dy, dx))
+    light = np.clip((rim - np.hypot(dx, dy)) / 2 + 0.5, 0, 1)
+    noise = np.random.default_rng(3).normal(0, 0.02, light.shape)
+    return np.sqrt(np.maximum(0.8 * light + noise, 0)).reshape(x.shape).astype(np.float32)
+
+
+def test_rim_has_the_harmonic_that_its_pixels_show_and_no_other():
+    gain = estimate_gain(draw_rims(0.3, -0.2), LATTICE, scene=False)
+    # Discs of 8 px, but the rim is that at the radius of the map.
+    rim = gain.rim * 8 / gain.radius
+    np.testing.assert_allclose(rim[5, :2], [0.3, -0.2], atol=0.02)
+    rest = rim.copy()
+    rest[5, :2] = 0
+    assert np.abs(rest).max() < 0.06
+
+
+def test_round_rims_have_no_harmonics_that_matter():
+    rim = estimate_gain(draw_rims(0, 0), LATTICE, scene=False).rim
+    assert np.abs(rim).max() < 0.01 and np.count_nonzero(rim) < 20
