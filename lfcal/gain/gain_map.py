@@ -245,12 +245,11 @@ class GainMap(Frozen):
         rings = int(cell.circumradius / self.step) + 2
         light = self.sample(self.describe(chosen), rings).mean(0)
         inner = light[:, : int(cell.inradius / 2 / self.step) + 1]
-        dark = light < inner.max() / 2
-        first_dark = np.where(dark.any(1), dark.argmax(1) - 1, rings)
+        reach = first_half(light / inner.max(), self.step, cell.circumradius)
         angle = np.arange(len(light)) * (2 * np.pi / len(light))
         directions = np.column_stack([np.cos(angle), np.sin(angle)])
         border = 0.5 / (directions @ cell.normals.T).max(1)
-        return float(np.clip(first_dark * self.step / border, 0, 1).min())
+        return float(np.clip(reach / border, 0, 1).min())
 
     def evaluate(self, lenses: Floats, lens: Integers, x: Any, y: Any) -> Floats:
         """Evaluate the map at places `x, y` (p,) [px] from the centres of described lenses.

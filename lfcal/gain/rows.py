@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from ..lattice.cell import nearest_lenses
 from ..lattice.lattice import Lattice
 from ..runtime.arrays import Array, Booleans, Floats, Integers, Singles
 from ..runtime.kernels import kernel
@@ -89,7 +90,7 @@ class _RowTables(NamedTuple):
     light: Floats  # (b, a) of each lens
     lenses: Singles  # (b, a, s) their descriptions
     types: NDArray[np.int8]  # (b, a) 0 where they do not differ
-    # (h, 2) column and row, here, of a lens near the first pixel of each row of the flat
+    # (h, 2) column and row, here, of the lens nearest to the first pixel of each row of the flat
     starts: Integers
     ahead: Integers  # (k, 2) steps, here, to the neighbours of a lens that may follow it in a row
 
@@ -97,15 +98,14 @@ class _RowTables(NamedTuple):
 def _make_row_tables(lattice: Lattice, gain: GainMap) -> _RowTables:
     """Tables of a flat. ValueError if the gain map is of other lenses."""
     width, height = lattice.image_size
-    rows = np.arange(height, dtype=np.float64)
     indices = lattice.indices()
     if len(gain.lens_gain) not in (0, len(indices)):
         raise ValueError(
             f"the gain map is of {len(gain.lens_gain)} lenses, the lattice has {len(indices)}"
         )
     starts, ends = (
-        np.rint(lattice.to_index(np.column_stack([np.full(height, column), rows]))).astype(np.int64)
-        for column in (0.0, width - 1)
+        nearest_lenses(lattice, np.column_stack([np.full(height, column), np.arange(height)]))
+        for column in (0, width - 1)
     )
     # Rows begin and end in lenses around the flat.
     every = [np.concatenate([of[:, axis] for of in (starts, ends, indices)]) for axis in (0, 1)]
@@ -128,29 +128,6 @@ def _make_row_tables(lattice: Lattice, gain: GainMap) -> _RowTables:
     ahead = sides[(sides @ lattice.basis)[:, 0] > -_BACKWARDS * lattice.pitch]
     lenses = gain.describe(field).astype(np.float32).reshape(*light.shape, -1)
     return _RowTables(centres, light, lenses, types, np.ascontiguousarray(starts - low), ahead)
-
-
-@njit(error_model="numpy")
-def _find_first_lens(y, a, b, centres):
-    """Indices of the lens nearest to the first pixel of row `y`.
-
-    The search descends from lens `(a, b)`.
-    """
-    while True:
-        least = centres[b, a, 0] ** 2 + (centres[b, a, 1] - y) ** 2
-        p = a
-        q = b
-        for v in range(max(b - 1, 0), min(b + 2, centres.shape[0])):
-            for u in range(max(a - 1, 0), min(a + 2, centres.shape[1])):
-                far = centres[v, u, 0] ** 2 + (centres[v, u, 1] - y) ** 2
-                if far < least:
-                    least = far
-                    p = u
-                    q = v
-        if p == a and q == b:
-            return a, b
-        a = p
-        b = q
 
 
 @njit(error_model="numpy")
@@ -196,7 +173,7 @@ def _fill_gain(begin, end, out, top, left, least, tables, shape, profiles):
     cut = shape.cut
     for row in range(begin, end):
         y = top + row
-        a, b = _find_first_lens(y, tables.starts[y, 0], tables.starts[y, 1], centres)
+        a, b = tables.starts[y]
         x = 0
         while x < right:
             stop, p, q = _find_next_lens(y, a, b, right, centres, ahead)

@@ -88,7 +88,7 @@ def measure_illumination(
             sample = draw_sample(lattice, picture, ENOUGH_PIXELS, False, _ROWS)
             pixels = ProfilePixels.of(sample, gain)
         if not warnings:
-            gain = fit_type_profiles(pixels, radius, gain, types, not white)
+            gain = fit_type_profiles(pixels, radius, gain, types)
     if white:
         types, gain = order_by_rims(types, gain, radius)
     source = picture if read_crop is None else read_crop

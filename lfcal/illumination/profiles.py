@@ -80,8 +80,8 @@ class ProfilePixels(NamedTuple):
 
     def sum_windows(
         self, gain: GainMap, types: NDArray[np.int8], core: float
-    ) -> tuple[Floats, Floats, Floats]:
-        """Light over that of the core (w, t, k), its weight, and the level of the core (w, t).
+    ) -> tuple[Floats, Floats]:
+        """Light over that of the core (w, t, k), and its weight.
 
         Windows without light are left out.
 
@@ -102,7 +102,7 @@ class ProfilePixels(NamedTuple):
         # A lens has few pixels in its middle: their mean would be noisier than those around it.
         for sums in (light, weight):
             sums[..., radii < 1.5] = sums[..., radii < 1.5].mean(-1, keepdims=True)
-        return light[bright] / level[bright][..., None], weight[bright], level[bright]
+        return light[bright] / level[bright][..., None], weight[bright]
 
 
 def _shrunk_mean(values: Floats, weight: Floats) -> Floats:
@@ -140,7 +140,7 @@ def fit_scene_profiles(found: ProfilePixels, gain: GainMap) -> SceneProfiles:
 
     types = np.zeros(len(found.sample.field), np.int8)
     core = CORES[0] * gain.radius
-    light, weight, _ = found.sum_windows(gain, types, core)
+    light, weight = found.sum_windows(gain, types, core)
     pixels = weight.sum((0, 1))
     mean = gain.profile
     shown = len(light) >= _FEWEST_WINDOWS
@@ -164,18 +164,19 @@ def fit_scene_profiles(found: ProfilePixels, gain: GainMap) -> SceneProfiles:
 
 
 def fit_type_profiles(
-    found: ProfilePixels, radius: float, gain: GainMap, types: LensTypes, scene: bool
+    found: ProfilePixels, radius: float, gain: GainMap, types: LensTypes
 ) -> GainMap:
     """Add the light of each lens type to the gain map.
 
     The map is returned unchanged if the types do not differ significantly.
 
-    `radius` [px] is the usable one; on a white image the light of each lens is in the map.
+    `radius` [px] is the usable one. The profiles of types differ in shape, not in level: on white
+    images the light of each lens is in the map, on scenes types are as bright as each other.
     """
     sample = found.sample
     kinds = types.of(sample.indices)
-    light, weight, level = found.sum_windows(gain, kinds, 0.5 * radius)
-    if level.shape[1] != types.count or len(level) < _FEWEST_WINDOWS:
+    light, weight = found.sum_windows(gain, kinds, 0.5 * radius)
+    if light.shape[1] != types.count or len(light) < _FEWEST_WINDOWS:
         return gain
     wide = 2 * (round(_SMOOTH / gain.step) // 2) + 1
     edge = ((0, 0), (0, 0), (wide // 2, wide // 2))
@@ -190,9 +191,6 @@ def fit_type_profiles(
     # Rims are measured as far as there is light in them.
     last = np.flatnonzero((weight.sum((0, 1)) > 0) & (gain.profile > 0.25))[-1]
     factor[:, last:] = factor[:, [last]]
-    if scene:
-        number = least[..., radii < 0.5 * radius].sum(-1)
-        factor *= 1 + _shrunk_mean(level / level.mean(1, keepdims=True) - 1, number)[:, None]
     factor = np.clip(factor, 0.5, 2)
     if np.abs(factor[:, radii < radius] - 1).max() < _LEAST:
         return gain

@@ -20,6 +20,7 @@ from ..lattice.cell import Cell
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops, sample_mask
 from ..microimage.average import LensPixels, ProfilePlaces
+from ..microimage.lit import bright_light
 from ..runtime.arrays import Array, Integers, Singles
 
 __all__ = [
@@ -172,7 +173,9 @@ def _fit_lens_lights(
     good = (count >= 4) & (total > 0) & (clipped * CLIPPED_PIXELS <= count)
     level = np.where(good, total / np.maximum(whole, 1e-300), 1.0)
     if not scene:
-        return level, np.zeros((2, len(level))), good.astype(np.float64)
+        # The noise of light grows with its root.
+        share = level / max(bright_light(level[good]), 1e-300)
+        return level, np.zeros((2, len(level))), np.where(good, np.minimum(share, 1), 0)
     # In a disc about the centre, light and slopes are hardly correlated.
     sides = [own.add(s * d * v) for d in (x, y)]
     sizes = [np.maximum(own.add(s * s * d * d), 1e-300) for d in (x, y)]

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from ..runtime.arrays import Floats
+from ..runtime.arrays import Floats, Integers
 from .lattice import Lattice
 
 __all__ = [
@@ -16,6 +16,7 @@ __all__ = [
     "cell_distances",
     "cell_side",
     "is_outside_cell",
+    "nearest_lenses",
     "nearest_offsets",
     "row_interval",
 ]
@@ -83,6 +84,14 @@ def nearest_offsets(index: Floats, basis: Floats) -> Floats:
     offsets = ((index - np.rint(index))[:, None] - _AROUND) @ basis
     nearest = np.hypot(offsets[..., 0], offsets[..., 1]).argmin(1)
     return offsets[np.arange(len(offsets)), nearest]
+
+
+def nearest_lenses(lattice: Lattice, places: Floats) -> Integers:
+    """(n, 2) lattice indices of the lenses nearest to places (n, 2) [px] of a flat."""
+    around = np.rint(lattice.to_index(places)).astype(np.int64)[:, None] + _AROUND
+    away = lattice.points(around) - places[:, None]
+    nearest = np.hypot(away[..., 0], away[..., 1]).argmin(1)
+    return around[np.arange(len(around)), nearest]
 
 
 def bin_offsets(basis: Floats, bins: int, centre: Floats) -> Floats:

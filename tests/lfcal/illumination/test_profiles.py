@@ -45,7 +45,7 @@ def _flat(gain: GainMap, contrast: float) -> np.ndarray:
 def _fit_types(picture: np.ndarray) -> GainMap:
     gain = GainMap.round(np.ones(60), _STEP, 9)
     pixels = ProfilePixels.of(draw_sample(_LATTICE, picture, 1e6, True, 2), gain)
-    return fit_type_profiles(pixels, _LATTICE.radius, gain, _TYPES, True)
+    return fit_type_profiles(pixels, _LATTICE.radius, gain, _TYPES)
 
 
 @pytest.mark.parametrize("seed", [2, 3, 4])
