@@ -48,7 +48,7 @@ def test_few_pixels_that_scatter_little_by_chance_are_no_proof_of_another_light(
     scatter[1] = 0.02
     light[1] = 1.08
     ones = np.ones(count)
-    found = LensMeasurements(*np.float32([light, 16 * ones, scatter, ones, ones]))
+    found = LensMeasurements(*np.float32([light, 16 * ones, scatter, light]))
     own = fit_lens_lights(found, lattice, GainMap.round(np.ones(40), 0.25, 9.0)).gain.lens_gain
     assert own[0] == 1
     assert own[1] > 1.05
@@ -66,3 +66,16 @@ def test_where_the_lit_part_ends_lenses_have_their_own_light(drawn):
     inside = (truth.light() > 0.5) & (lit > 0.1)
     error = ratio[inside] / np.median(ratio[inside & (lit > 0.95)]) - 1
     assert np.quantile(np.abs(error), 0.95) < 0.5
+
+
+def test_stray_light_without_the_shape_of_a_microimage_is_no_lens():
+    lattice = Lattice((9.0, 9.0), ((18.0, 0.0), (0.0, 18.0)), (720, 540), 9.0)
+    count = len(lattice)
+    ones = np.ones(count)
+    shaped = ones.copy()
+    # As bright as a quarter of the lenses, but even.
+    light = np.where(np.arange(count) < 5, 0.25, 1)
+    shaped[:5] = 0.1
+    found = LensMeasurements(*np.float32([light, 48 * ones, 0.05 * light, shaped]))
+    lights = fit_lens_lights(found, lattice, GainMap.round(np.ones(40), 0.25, 9.0))
+    np.testing.assert_array_equal(lights.unlit, np.arange(5))
