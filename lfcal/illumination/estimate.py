@@ -38,6 +38,9 @@ _STEP = 0.25
 _LEAST = 0.02
 # Harmonics of rims, enough for squares and hexagons with their corners.
 _HARMONICS = 12
+# Squared standard errors by which the factors of a term differ from 0. With the logarithm of the
+# number of lenses (BIC), content of scenes made harmonics.
+_FOUR_ERRORS = 16
 # Degrees of the polynomials of the field that are tried.
 _RIM_DEGREES = (2,)
 _SHADING_DEGREES = (3, 1)
@@ -208,7 +211,7 @@ def _fit_factors(
             own = found[part]
             scatter = errors[:, part]
             ratio = own @ np.linalg.pinv(scatter.T @ scatter) @ own
-            if ratio < len(own) * math.log(len(first)):
+            if ratio < len(own) * _FOUR_ERRORS:
                 kept[group == one] = False
     return factors * kept
 
