@@ -160,7 +160,8 @@ def _smoothed(
     """Fits combined with the lenses `rows` (n, m) of each, weighted by `trust` (n,), and the mean
     weight (n,) of these.
     """
-    before = tuple(np.asarray(values, np.float32) for values in vars(fits).values())
+    # Whole arrays: for views, the kernel would be compiled anew.
+    before = tuple(np.ascontiguousarray(values, np.float32) for values in vars(fits).values())
     out = np.column_stack([*before, np.ones_like(trust)])
     _smooth(gray.centres, gray.pitch, rows, before, wanted, trust, out)
     size, error, slant_error, inliers = (out[:, k].copy() for k in (0, 1, 4, 5))
