@@ -16,6 +16,7 @@ from ..data.rendering import PictureGrid, Rendering
 from ..data.surface import Surface
 from ..depth.incremental import changed_since
 from ..flat.validation import check_flat
+from .blend.occlusion import projection_reach
 from .renderer import Renderer
 
 __all__ = ["find_changed_pixels", "redraw"]
@@ -25,13 +26,14 @@ def find_changed_pixels(
     grid: PictureGrid,
     centres: NDArray[np.float64],
     reach: float,
+    sight: float,
     before: Surface,
     now: Surface,
     changed: NDArray[np.bool_],
 ) -> NDArray[np.bool_]:
     """(rows, columns) bool: pixels of the picture that may differ from those of an earlier frame:
-    those in `reach` [px] of a lens that is `changed` (n,), or near which the surface differs from
-    `before`.
+    those in `reach` [px] of a lens that is `changed` (n,), or that has points in `sight` [px] where
+    the surface differs from `before`.
     """
     columns, rows = grid.size
     if (
@@ -45,7 +47,7 @@ def find_changed_pixels(
     # The depth between grid values depends on all four of them; lenses beyond the grid have its
     # nearest value.
     differ = (before.patch_size != now.patch_size).astype(np.uint8)
-    beside = np.ones((2 * int(np.ceil(reach / now.spacing)) + 5,) * 2, np.uint8)
+    beside = np.ones((2 * int(np.ceil(sight / now.spacing)) + 5,) * 2, np.uint8)
     near = replace(now, patch_size=cv2.dilate(differ, beside).astype(np.float32))
     stale = changed | (near.at(centres) > 0)
     if not stale.any():
@@ -98,10 +100,12 @@ def redraw(
         )
     changed = changed_since(before, depth, earlier, pixels, calibration)
     lattice = calibration.lattice
+    reach = renderer.reach * lattice.pitch
     wanted = find_changed_pixels(
         renderer.grid,
         lattice.centres(),
-        renderer.reach * lattice.pitch,
+        reach,
+        projection_reach(lattice, reach),
         before.surface,
         depth.surface,
         changed,

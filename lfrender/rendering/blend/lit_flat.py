@@ -27,7 +27,7 @@ class LitFlat:
     """What a picture reads of a flat."""
 
     pixels: NDArray[Any]  # (h, w, C), divided by the gain if that differs from lens to lens
-    edged: NDArray[np.bool_]  # (n,) lenses with a depth edge in reach, or unlit pixels
+    edged: NDArray[np.bool_]  # (n,) lenses with a depth edge in sight, or unlit pixels
     shown: NDArray[
         np.float32
     ]  # (h, w) patch size [px] that pixels of these lenses show, inf where unlit
