@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from lfcal.lattice.cell import Cell
 from lfcal.microimage.lens_equations import build_lens_equations
@@ -12,8 +11,7 @@ from lfcal.microimage.mean_cell import average_cells
 from ._dots import LATTICE, draw_dots
 
 
-@pytest.mark.parametrize(("stride", "error"), [(1, 0.06), (2, 0.08)])
-def test_shifts_of_single_dots_are_found(stride, error):
+def test_shifts_of_single_dots_are_found():
     rng = np.random.default_rng(0)
     inside, centres = LATTICE.select_whole(15)
     shift = rng.normal(0, 0.2, (len(LATTICE), 2))
@@ -21,11 +19,11 @@ def test_shifts_of_single_dots_are_found(stride, error):
     picture = draw_dots(LATTICE.centres() + shift, light)
     cell = Cell.of(LATTICE)
     mean = average_cells(picture, LATTICE, centres, cell, 20)
-    normal, right, _ = build_lens_equations(picture, LATTICE, centres, cell, mean, stride)
+    normal, right, _ = build_lens_equations(picture, LATTICE, centres, cell, mean)
     found = np.linalg.solve(normal, right[..., None])[..., 0]
     rows = {tuple(index): row for row, index in enumerate(LATTICE.indices().tolist())}
     true = shift[[rows[tuple(index)] for index in inside.tolist()]]
-    assert np.sqrt(((found - true) ** 2).mean()) < error
+    assert np.sqrt(((found - true) ** 2).mean()) < 0.065
 
 
 def test_a_blank_lens_has_no_equations():
