@@ -7,16 +7,16 @@ better known by their own models.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..lattice.lattice import Lattice
+from ..microimage.fit import Step, Sums
 from ..microimage.lens_equations import build_lens_equations
 from ..microimage.mean_cell import average_cells
 from ..runtime.arrays import Floats, Singles
-from .kernel import Sums
-from .microimages import Microimages
+from .lenses import Lenses
 
 __all__ = ["AnyMicroimages"]
 
@@ -30,23 +30,21 @@ _MOST_BINS = 400
 
 
 @dataclass(frozen=True)
-class AnyMicroimages(Microimages):
+class AnyMicroimages(Lenses):
     """Microimages that are compared with their mean."""
 
     lattice: Lattice
     mean: Singles  # (b * b, 4) of `average_cells`
 
     @classmethod
-    def of(cls, lenses: Microimages, lattice: Lattice) -> AnyMicroimages:
+    def of(cls, lenses: Lenses, lattice: Lattice) -> AnyMicroimages:
         """Some of the microimages, with their mean about the centres of the lattice."""
         few = lenses.thin(_PIXELS)
-        known = {field.name: getattr(few, field.name) for field in fields(Microimages)}
-        return cls(**known, lattice=lattice, mean=np.zeros((0, 4), np.float32)).at(lattice)
+        return cls(**few.given, lattice=lattice, mean=np.zeros((0, 4), np.float32)).at(lattice)
 
     def at(self, lattice: Lattice) -> AnyMicroimages:
         """The same with the centres of a lattice, and the mean about them."""
         moved = super().at(lattice)
-        assert isinstance(moved, AnyMicroimages)
         picture, centres = moved._stacked()
         bins = int(min(_BINS * lattice.pitch, _MOST_BINS))
         mean = average_cells(picture, lattice, centres, self.cell, bins)
@@ -55,25 +53,21 @@ class AnyMicroimages(Microimages):
     def sums(self) -> Sums:
         """Normal equations about the mean microimage; gains are not fitted."""
         picture, centres = self._stacked()
-        of_place, force, _ = build_lens_equations(
+        normal = np.zeros((len(centres), 3, 3))
+        right = np.zeros((len(centres), 3))
+        normal[:, :2, :2], right[:, :2], _ = build_lens_equations(
             picture, self.lattice, centres, self.cell, self.mean
         )
-        normal = np.zeros((len(centres), 3, 3))
-        normal[:, :2, :2] = of_place
         normal[:, 2, 2] = 1
-        right = np.zeros((len(centres), 3))
-        right[:, :2] = force
         return Sums(normal, right, np.zeros((0, 0, 6)))
 
-    def learn(self, sums: Sums, moved: Floats, lattice: Lattice) -> AnyMicroimages:
+    def learn(self, sums: Sums, step: Step, lattice: Lattice) -> AnyMicroimages:
         """The microimages with the mean about the centres of `lattice`."""
         return self.at(lattice)
 
     def _stacked(self) -> tuple[Singles, Floats]:
         """Windows below each other (n * k, k), made even, and the centres (n, 2) [px] there."""
-        x, y = self.places()
-        slope = (self.slope + self.shade)[:, :, None, None]
-        even = self.light / (self.gain[:, None, None] * (1 + slope[:, 0] * x + slope[:, 1] * y))
+        even = self.even(shaded=True)
         side = even.shape[1]
         centres = self.centres - self.corners
         centres[:, 1] += side * np.arange(len(centres))

@@ -15,40 +15,31 @@ from numba import njit
 
 from ..runtime.kernels import kernel
 
-__all__ = [
-    "BEND",
-    "CORRELATION",
-    "COUNT",
-    "GAP",
-    "GROWTH",
-    "LOG_BLUR",
-    "OFFSET",
-    "RADIUS",
-    "SHADING",
-    "SHEAR",
-    "TAIL",
-    "evaluate",
-]
+__all__ = ["BLUR", "CORRELATION", "COUNT", "CUT", "GAP", "RADIUS", "SHADING", "TAIL", "evaluate"]
 
-# Places of the parameters. Offsets x, y of both discs [px], growth of both in the corners [px],
-# third order of that; radii [px], logarithms of the blurs [px], shadings, light in the gaps, tail
-# of the blur, correlation of the edges; stretching, shearing and turning in the corners [px].
-OFFSET = slice(0, 4)
-GROWTH = slice(4, 6)
-BEND = 6
-_GROWTH = GROWTH.start
-_RADIUS = BEND + 1
-_LOG_BLUR = _RADIUS + 2
-_SHADING = _LOG_BLUR + 2
-GAP = _SHADING + 2
-TAIL = GAP + 1
-CORRELATION = TAIL + 1
-_SHEAR = CORRELATION + 1
-COUNT = _SHEAR + 3
-RADIUS = slice(_RADIUS, _LOG_BLUR)
-LOG_BLUR = slice(_LOG_BLUR, _SHADING)
-SHADING = slice(_SHADING, GAP)
-SHEAR = slice(_SHEAR, COUNT)
+# Places of the parameters. Displacement of the second disc from the first one: x, y in the middle
+# of the field [px], growth towards the corners [px]; radii [px]; logarithm of the blur of the first
+# disc [px], and how much larger that of the second one is; shadings; light in the gaps; tail of the
+# blur; correlation of the edges.
+CUT = slice(0, 3)
+RADIUS = slice(3, 5)
+BLUR = slice(5, 7)
+SHADING = slice(7, 9)
+GAP = 9
+TAIL = 10
+CORRELATION = 11
+COUNT = 12
+# Places of these in a row of derivatives, after those with the centre.
+_CUT = 2
+_RADIUS_OF = RADIUS.start
+_BLUR_OF = BLUR.start
+_SHADING_OF = SHADING.start
+_RADIUS = _CUT + _RADIUS_OF
+_BLUR = _CUT + _BLUR_OF
+_SHADING = _CUT + _SHADING_OF
+_GAP = _CUT + GAP
+_TAIL = _CUT + TAIL
+_CORRELATION = _CUT + CORRELATION
 _ROOT_HALF = math.sqrt(0.5)
 _TAU = 2 * math.pi
 # Depths [blur] beyond which an edge lets all or nothing through.
@@ -102,22 +93,20 @@ def _add_lens(px, py, fx, fy, p, sharp, scale, discs, row):
 
     `sharp` (2,) is one over the blurs, `discs` (2, 7) working memory.
     """
-    cubic = fx * fx + fy * fy
     tail = p[TAIL]
     height = 1 - p[GAP]
     even = 1.0
     for disc in range(2):
-        out = p[_GROWTH + disc] + p[BEND] * cubic
-        x = px - p[2 * disc] - fx * (out + p[_SHEAR]) - fy * (p[_SHEAR + 1] - p[_SHEAR + 2])
-        y = py - p[2 * disc + 1] - fy * (out - p[_SHEAR]) - fx * (p[_SHEAR + 1] + p[_SHEAR + 2])
+        x = px - disc * (p[0] + fx * p[2])
+        y = py - disc * (p[1] + fy * p[2])
         far = math.sqrt(x * x + y * y) + 1e-9
-        alpha = (p[_RADIUS + disc] - far) * sharp[disc]
+        alpha = (p[_RADIUS_OF + disc] - far) * sharp[disc]
         if alpha < -_DEEPEST:
             return 0.0
         depth, light, slope = _through_edge(alpha, tail)
         discs[disc, 0], discs[disc, 1], discs[disc, 2], discs[disc, 3] = x, y, far, alpha
         discs[disc, 4], discs[disc, 5], discs[disc, 6] = depth, light, slope
-        even -= p[_SHADING + disc] * far * far / (scale * scale)
+        even -= p[_SHADING_OF + disc] * far * far / (scale * scale)
     first = discs[0, 5]
     second = discs[1, 5]
     joint = first * second
@@ -140,40 +129,40 @@ def _add_lens(px, py, fx, fy, p, sharp, scale, discs, row):
         y = discs[disc, 1]
         far = discs[disc, 2]
         alpha = discs[disc, 3]
+        shading = p[_SHADING_OF + disc] / (scale * scale)
         push = discs[disc, 6] * (with_second if disc else with_first) * height * even
         pull = push * (1 + 3 * tail * (alpha * alpha - 1)) * sharp[disc]
-        rest = pull / far + 2 * height * joint * p[_SHADING + disc] / (scale * scale)
+        rest = pull / far + 2 * height * joint * shading
         gx = rest * x
         gy = rest * y
-        grows = gx * fx + gy * fy
-        row[2 * disc] += gx
-        row[2 * disc + 1] += gy
-        row[_GROWTH + disc] += grows
-        row[BEND] += grows * cubic
-        row[_SHEAR] += gx * fx - gy * fy
-        row[_SHEAR + 1] += gx * fy + gy * fx
-        row[_SHEAR + 2] += gy * fx - gx * fy
+        row[0] += gx
+        row[1] += gy
+        row[_CUT] += disc * gx
+        row[_CUT + 1] += disc * gy
+        row[_CUT + 2] += disc * (gx * fx + gy * fy)
         row[_RADIUS + disc] += pull
-        row[_LOG_BLUR + disc] -= pull * (p[_RADIUS + disc] - far)
-        row[TAIL] += push * (alpha * alpha - 3) * alpha
+        softer = -push * (1 + 3 * tail * (alpha * alpha - 1)) * alpha
+        row[_BLUR] += softer
+        row[_BLUR + 1] += disc * softer
+        row[_TAIL] += push * (alpha * alpha - 3) * alpha
         row[_SHADING + disc] -= height * joint * far * far / (scale * scale)
-    row[CORRELATION] += turning * height * even
+    row[_CORRELATION] += turning * height * even
     return even * joint
 
 
 @kernel(error_model="numpy", share=lambda place, *_: len(place))
-def evaluate(begin, end, place, lens, field, steps, p, scale, reach, model, table):
-    """Light (n,) of pixels and its derivatives (n, 19) with the parameters.
+def evaluate(begin, end, place, lens, field, steps, p, scale, reach, table):
+    """Derivatives of the light of pixels (n, 15) with the centre, the parameters and the gain.
 
-    The light of the neighbours at `steps` is included.
+    The last one is the light itself. The light of the neighbours at `steps` is included.
 
     `place` (n, 2) [px] is relative to the centre of the lens with number `lens` (n,), which lies at
     `field` (lenses, 2); `reach` is half the diagonal of the flat and `scale` a length for the
     shading [px].
     """
     discs = np.empty((2, 7))
-    row = np.empty(COUNT)
-    sharp = np.exp(-p[LOG_BLUR])
+    row = np.empty(_CUT + COUNT)
+    sharp = np.array([math.exp(-p[_BLUR_OF]), math.exp(-p[_BLUR_OF] - p[_BLUR_OF + 1])])
     for k in range(begin, end):
         row[:] = 0.0
         fx = field[lens[k], 0]
@@ -187,7 +176,7 @@ def evaluate(begin, end, place, lens, field, steps, p, scale, reach, model, tabl
             u = fx + sx / reach
             v = fy + sy / reach
             total += _add_lens(x, y, u, v, p, sharp, scale, discs, row)
-        model[k] = p[GAP] + (1 - p[GAP]) * total
-        row[GAP] = 1 - total
-        for c in range(COUNT):
+        row[_GAP] = 1 - total
+        for c in range(_CUT + COUNT):
             table[k, c] = row[c]
+        table[k, _CUT + COUNT] = p[GAP] + (1 - p[GAP]) * total

@@ -20,7 +20,7 @@ from ..lattice.robust_fit import TUKEY_CUTOFF
 from ..runtime.arrays import Floats, Integers, Singles
 from ..runtime.kernels import FAST, kernel
 
-__all__ = ["Rings", "Sums", "Windows", "add_lenses"]
+__all__ = ["Rings", "Windows", "add_lenses"]
 
 _MOST = TUKEY_CUTOFF * TUKEY_CUTOFF
 
@@ -44,19 +44,6 @@ class Rings(NamedTuple):
     # direction)`
     table: Floats
     saturation: float  # least light of clipped pixels
-
-
-class Sums(NamedTuple):
-    """Normal equations of `x`, `y` and gain of each lens, and sums over the rings.
-
-    The gain is its relative change.
-    """
-
-    normal: Floats  # (n, 3, 3) upper halves
-    right: Floats  # (n, 3)
-    # (chunks, r, 6) of the pixels nearest to a ring: weight, weighted residual, the same times
-    # `cos(4 * direction)`, weight times its square, squared residual, number
-    band: Floats
 
 
 @njit(error_model="numpy", fastmath=False)

@@ -8,172 +8,126 @@ distance from the centre cannot follow straight edges. Edges have the closed for
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
-from typing import NamedTuple
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..lattice.lattice import Lattice
-from ..lattice.robust_fit import TUKEY_CUTOFF, biweight
-from ..microimage.average import estimate_variance
 from ..microimage.edge import EdgeLight, blurred_edge
-from ..runtime.arrays import Floats, Integers
-from .kernel import Sums
-from .microimages import Microimages
+from ..microimage.fit import Step, Sums
+from ..runtime.arrays import Floats
+from .lenses import Lenses
+from .pixel_sums import Comparison
 
 __all__ = ["SquareMicroimages", "mean_residual"]
 
-# Pixels that are used: with them centres are right to a thousandth of a pixel.
-_PIXELS = 6e5
 # Cosine of the angle between the sides of a cell up to which it is rectangular.
 _RECTANGULAR = 0.05
 # [px] Least blur: with less, hardly a pixel tells it.
 _LEAST_BLUR = 0.1
-# Blurs [px] and stray light that are expected, and their standard deviations: they matter where all
-# lenses lie alike to the pixels, which cannot tell a narrow gap from a brighter one.
-_EXPECTED = np.array([0.0, 0.0, 0.3, 0.3, 0.01])
-_SPREADS = np.array([np.inf, np.inf, 0.3, 0.3, 0.02])
-# What blurs of a pixel, where the fit also begins, are beyond those.
-_SOFTER = np.array([0.0, 0.0, 0.7, 0.7, 0.0])
-# [px] Steps at which the light between edges is tabulated, and of distances from the border of the
-# cell at which the variance of pixels is measured.
+# Difference of the gaps [px], blur [px] and stray light that are expected, and their standard
+# deviations: they matter where all lenses lie alike to the pixels, which cannot tell a narrow gap
+# from a brighter one.
+_EXPECTED = np.array([0.0, 0.0, 0.3, 0.01])
+_SPREADS = np.array([np.inf, 0.1, 0.3, 0.02])
+# [px] The fit begins at this blur.
+_START_BLUR = 1.0
+# Change of half the distances of the edges with the gap and with the difference of the gaps.
+_HALVES = np.array([[-0.5, -0.5], [-0.5, 0.5]])
+# [px] Largest change of the gap and of the blur in a step.
+_LARGEST_STEP = 0.3
+# [px] Steps at which the light between edges is tabulated.
 _STEP = 1 / 64
-_RING_STEP = 1 / 8
 # [px] Pixels farther inside the edges tell nothing but the light of their lens.
 _NEAR = 5.0
 
 
-class _Comparison(NamedTuple):
-    """Pixels (m,) in the cells against the model."""
-
-    lens: Integers  # (m,)
-    ring: Integers  # (m,) steps from the border of the cell
-    residual: Floats  # (m,) over the light of the lens
-    columns: Floats  # (m, 3) derivatives with the centre [1/px] and the gain
-    table: Floats  # (m, 5) with the shape
-
-
 @dataclass(frozen=True)
-class SquareMicroimages(Microimages):
+class SquareMicroimages(Lenses):
     """Microimages whose light is a product of that between two pairs of edges."""
 
     sides: Floats  # (2, 2) unit vectors across the two pairs of edges
     widths: Floats  # (2,) [px] of the cell between them
-    shape: Floats  # (5,) half the distances of the pairs [px], their blurs [px] and stray light
+    # (4,) mean gap between the cells, how much wider the first gap is than that, blur [px], and
+    # stray light
+    shape: Floats
     edge: Callable[..., EdgeLight] = blurred_edge
 
     @classmethod
-    def of(cls, lenses: Microimages, lattice: Lattice) -> SquareMicroimages | None:
+    def of(cls, lenses: Lenses, lattice: Lattice) -> SquareMicroimages | None:
         """Microimages of a rectangular lattice with their mean shape; None on other lattices."""
         across = np.linalg.inv(lattice.basis).T
         widths = 1 / np.hypot(*across.T)
         sides = across * widths[:, None]
         if abs(float(sides[0] @ sides[1])) > _RECTANGULAR:
             return None
-        few = lenses.thin(_PIXELS)
-        known = {field.name: getattr(few, field.name) for field in fields(few)}
-        # The slope of the light in a lens is measured where its edges are far.
-        known["profile"] = np.ones_like(few.profile)
-        known["ring_weight"] = np.ones(int(widths.max() / 2 / _RING_STEP) + 1)
-        sharp = cls(**known, sides=sides, widths=widths, shape=_EXPECTED.copy())
+        own = lenses.at(lattice)
         # Of gaps without light, the mean light is the lit part of the cell.
-        lit = float(sharp.compare().residual.mean())
-        sharp.shape[:2] = widths / 2 * np.sqrt(np.clip(lit, 0.5, 1))
-        soft = replace(sharp, shape=sharp.shape + _SOFTER)
-        found = min(sharp, soft, key=mean_residual)
-        # Wide blurs need more passes; beside the true centres these can also lead away.
-        first = found.learn_shape()
-        later = first.learn_shape().learn_shape().learn_shape()
-        return min(first, later, key=mean_residual)
+        lit = float(own.even(shaded=True)[own.in_cells()].mean()) - _EXPECTED[-1]
+        gap = widths.mean() * (1 - np.sqrt(np.clip(lit, 0.5, 1)))
+        shape = np.array([gap, 0.0, _START_BLUR, _EXPECTED[-1]])
+        return cls(**own.given, sides=sides, widths=widths, shape=shape)
 
-    def compare(self, near: float = _NEAR) -> _Comparison:
+    @property
+    def halves(self) -> Floats:
+        """(2,) half the distances of the pairs of edges [px]."""
+        return self.widths / 2 + _HALVES @ self.shape[:2]
+
+    @property
+    def parameters(self) -> Floats:
+        """As `LightModel.parameters`."""
+        return self.shape
+
+    @property
+    def prior(self) -> tuple[Floats, Floats]:
+        """As `LightModel.prior`, of the shape."""
+        known = _SPREADS**-2
+        return known, known * (_EXPECTED - self.shape)
+
+    def compare(self, near: float = _NEAR) -> Comparison:
         """Compare the unclipped pixels in the cells, at most `near` [px] inside the edges."""
         x, y = self.places()
         far = np.stack([x * across + y * down for across, down in self.sides])
         inside = (np.abs(far) <= self.widths[:, None, None, None] / 2).all(0)
         inside &= self.light < self.saturation
-        inside &= (np.abs(far) > self.shape[:2, None, None, None] - near).any(0)
-        lens, row, column = np.nonzero(inside)
+        inside &= (np.abs(far) > self.halves[:, None, None, None] - near).any(0)
         far = far[:, inside]
-        slope = (self.slope + self.shade)[lens]
-        tilt = 1 + slope[:, 0] * x[lens, 0, column] + slope[:, 1] * y[lens, row, 0]
-        relative = self.light[inside] / (self.gain[lens] * tilt)
         one, two = (self._between(k, np.abs(far[k])) for k in (0, 1))
         above = 1 - self.shape[-1]
         product = one[:, 0] * two[:, 0]
         model = self.shape[-1] + above * product
         # Derivatives with the distances from the middle lines, and with the shape.
         pushes = above * np.sign(far) * [one[:, 1] * two[:, 0], one[:, 0] * two[:, 1]]
-        columns = np.column_stack([-pushes.T @ self.sides, model])
         shapes = above * np.stack([one[:, 2:] * two[:, :1], two[:, 2:] * one[:, :1]], -1)
-        table = np.column_stack([shapes.reshape(-1, 4), 1 - product])
-        border = (self.widths[:, None] / 2 - np.abs(far)).min(0)
-        return _Comparison(
-            lens, (border / _RING_STEP).astype(np.int64), relative - model, columns, table
-        )
+        by_gap = shapes[:, 0] @ _HALVES
+        by_blur = shapes[:, 1].sum(1)
+        table = np.column_stack([-pushes.T @ self.sides, by_gap, by_blur, 1 - product, model])
+        return Comparison(np.nonzero(inside)[0], self.even(shaded=True)[inside] - model, table)
 
     def residuals(self) -> Floats:
         """(m,) differences of the pixels in the cells from the model."""
         return self.compare(np.inf).residual
 
     def sums(self) -> Sums:
-        """Normal equations about this model, without a band."""
-        seen, weights = self._weigh()
-        count = len(self.centres)
-        normal = np.zeros((count, 3, 3))
-        right = np.zeros((count, 3))
-        for a in range(3):
-            weighted = weights * seen.columns[:, a]
-            right[:, a] = np.bincount(seen.lens, weighted * seen.residual, count)
-            for b in range(a, 3):
-                normal[:, a, b] = np.bincount(seen.lens, weighted * seen.columns[:, b], count)
-        return Sums(normal, right, np.zeros((0, 0)))
+        """Normal equations about this model; outliers keep some weight, as gaps are narrow."""
+        return self.compare().sums(len(self.centres), soft=True)
 
-    def learn(self, sums: Sums, moved: Floats, lattice: Lattice) -> SquareMicroimages:
-        """The microimages on a lattice, with gains, and then a shape, that fit the pixels better."""
-        lenses = super().learn(sums, moved, lattice)
-        assert isinstance(lenses, SquareMicroimages)
-        return lenses.learn_shape()
-
-    def learn_profile(self, sums: Sums) -> SquareMicroimages:
-        """The same microimages: they have no profile."""
-        return self
-
-    def learn_shape(self) -> SquareMicroimages:
-        """The microimages with a shape and weights that fit the pixels better."""
-        seen, weights = self._weigh()
-        # With a common shift: where all lenses lie alike to the pixels, centres and shape explain
-        # the same.
-        table = np.hstack([seen.table, seen.columns[:, :2]])
-        pulled = table * weights[:, None]
-        normal = pulled.T @ table
-        pull = seen.residual @ pulled
-        normal[:5, :5] += np.diag(_SPREADS**-2)
-        pull[:5] += (_EXPECTED - self.shape) / _SPREADS**2
-        shape = self.shape + np.linalg.solve(normal, pull)[:5]
-        shape[2:4] = np.maximum(shape[2:4], _LEAST_BLUR)
-        rings = len(self.ring_weight)
-        used = weights > 0
-        squares = np.bincount(seen.ring, used * seen.residual**2, rings)
-        variance = estimate_variance(squares, np.bincount(seen.ring, used, rings))
-        return replace(self, shape=shape, ring_weight=1 / np.maximum(variance, 1e-9))
-
-    def _weigh(self) -> tuple[_Comparison, Floats]:
-        """The pixels against the model, and their robust weights (m,)."""
-        seen = self.compare()
-        weights = self.ring_weight[seen.ring]
-        return seen, weights * biweight(seen.residual**2 * weights / TUKEY_CUTOFF**2)
+    def learn(self, sums: Sums, step: Step, lattice: Lattice) -> SquareMicroimages:
+        """The microimages on a lattice, with gains and a shape that fit the pixels better."""
+        shape = self.shape + np.clip(step.of_light, -_LARGEST_STEP, _LARGEST_STEP)
+        shape[2] = max(shape[2], _LEAST_BLUR)
+        return replace(self.learn_levels(step.gains(sums), lattice), shape=shape)
 
     def _between(self, pair: int, far: Floats) -> Floats:
         """Light (m, 4) between a pair of edges at distances (m,) [px] from the middle line.
 
         After the light come its slopes with the distance, half the distance and blur [1/px].
         """
-        half, blur = self.shape[pair:4:2]
+        half = self.halves[pair]
         away = _STEP * np.arange(int(self.widths[pair] / 2 / _STEP) + 3)
         # The light of the neighbours reaches into the gap.
         depth = half - np.array([away, self.widths[pair] - away])
-        seen = self.edge(depth, blur, float(np.abs(self.sides[pair]).max()))
+        seen = self.edge(depth, self.shape[2], float(np.abs(self.sides[pair]).max()))
         own, other = np.array(seen[:3]).transpose(1, 0, 2)
         light, by_depth, by_blur = own + other
         table = np.column_stack([light, other[1] - own[1], by_depth, by_blur])
@@ -184,6 +138,6 @@ class SquareMicroimages(Microimages):
         )
 
 
-def mean_residual(squares: Microimages) -> float:
+def mean_residual(squares: SquareMicroimages) -> float:
     """Mean absolute difference of the pixels in the cells from the model, over the light."""
     return float(np.abs(squares.residuals()).mean())

@@ -353,15 +353,16 @@ def test_the_far_end_of_a_hundred_thousand_pixels_keeps_its_sub_pixels():
 def test_profiles_reach_to_the_corners_of_cells_that_have_grown():
     from lfcal.images.preprocessing import sqrt_luminance
     from lfcal.lattice.lens_subset import StackedCrops
-    from lfcal.white_fit.microimages import cut_out
+    from lfcal.white_fit.lenses import cut_out
+    from lfcal.white_fit.microimages import Microimages
 
     truth = WhiteImage(pitch=60.0, degrees=3.0, size=(500, 400))
     tones = StackedCrops.of(sqrt_luminance(truth.image()))
     small, large = (
         lfcal.Lattice(truth.origin, grown * truth.basis, truth.size, 28.0) for grown in (0.96, 1.0)
     )
-    known = cut_out(tones, small, 1e6, 12)
-    lenses = cut_out(tones, large, 1e6, 12, known)
+    known = Microimages.of(cut_out(tones, small, 1e6, 12))
+    lenses = Microimages.of(cut_out(tones, large, 1e6, 12), known)
     # Pixels in the corner are shared out to the ring before and the one after them.
     for values in (lenses.profile, lenses.ring_weight, lenses.harmonic):
         assert len(values) >= int(lenses.cell.circumradius / lenses.rings.step) + 2

@@ -8,8 +8,8 @@ import pytest
 from lfcal.images.preprocessing import sqrt_luminance
 from lfcal.lattice.lattice import Lattice
 from lfcal.lattice.lens_subset import StackedCrops
-from lfcal.runtime.errors import CalibrationError
-from lfcal.white_fit.microimages import cut_out, measure_centroid_offset, measure_narrowing
+from lfcal.white_fit.lenses import cut_out
+from lfcal.white_fit.microimages import Microimages
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +26,8 @@ def _lattice(truth):
 
 @pytest.fixture(scope="module")
 def lenses(truth):
-    return cut_out(StackedCrops.of(sqrt_luminance(truth.image())), _lattice(truth), 1e6, 0)
+    picture = StackedCrops.of(sqrt_luminance(truth.image()))
+    return Microimages.of(cut_out(picture, _lattice(truth), 1e6, 0))
 
 
 def test_profile_is_that_of_the_discs(truth, lenses):
@@ -63,26 +64,7 @@ def test_residuals_are_those_of_noise(lenses):
 
 def test_known_profile_is_taken_over(truth, lenses):
     picture = StackedCrops.of(sqrt_luminance(truth.image()))
-    few = cut_out(picture, _lattice(truth), 1e5, 50, lenses)
+    few = Microimages.of(cut_out(picture, _lattice(truth), 1e5, 50), lenses)
     assert 50 <= len(few.centres) < len(lenses.centres)
     np.testing.assert_array_equal(few.profile, lenses.profile)
     assert few.gain.mean() == pytest.approx(lenses.gain.mean(), rel=0.05)
-
-
-def test_uncut_microimages_are_no_narrower_along_the_field(lenses):
-    narrowing, error = measure_narrowing(lenses)
-    assert abs(narrowing) < 4 * error and error < 0.05
-
-
-def test_centroids_lie_on_the_centres(truth, lenses):
-    assert measure_centroid_offset(lenses) < 0.05
-    lattice = _lattice(truth)
-    beside = Lattice(lattice.origin + np.array([0.6, 0.0]), lattice.basis, lattice.image_size, 10.0)
-    assert measure_centroid_offset(lenses.at(beside)) == pytest.approx(0.6, abs=0.1)
-
-
-def test_dark_flats_have_too_few_microimages(truth):
-    picture = np.zeros((500, 640), np.float32)
-    picture[200:300, 200:260] = sqrt_luminance(truth.image())[200:300, 200:260]
-    with pytest.raises(CalibrationError, match="are needed"):
-        cut_out(StackedCrops.of(picture), _lattice(truth), 1e6, 0)

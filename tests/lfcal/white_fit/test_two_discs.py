@@ -14,11 +14,12 @@ from benchmarks.calibration_bound import centre_error
 from benchmarks.white_images import WhiteImage
 from lfcal.images.preprocessing import sqrt_luminance
 from lfcal.lattice.lens_subset import StackedCrops
-from lfcal.white_fit.disc_light import RADIUS, SHADING
-from lfcal.white_fit.fit import converge
-from lfcal.white_fit.fit_discs import fit_two_discs
-from lfcal.white_fit.microimages import cut_out
-from lfcal.white_fit.two_discs import choose_lens
+from lfcal.microimage.fit import converge
+from lfcal.white_fit.disc_light import COUNT, RADIUS, SHADING
+from lfcal.white_fit.find_cut import fit_two_discs
+from lfcal.white_fit.lenses import cut_out
+from lfcal.white_fit.microimages import Microimages
+from lfcal.white_fit.two_discs import choose_lens, interchange
 
 SIZE = (640, 480)
 
@@ -85,36 +86,67 @@ def found():
         size=SIZE,
     )
     lattice = lfcal.Lattice(truth.origin, truth.basis, truth.size, 9.0)
-    crops = StackedCrops.of(sqrt_luminance(truth.image()))
-    fit = converge(lattice, cut_out(crops, lattice, 1e5, 150), ())
-    discs = fit_two_discs(fit.lenses, fit.lattice)
+    lenses = cut_out(StackedCrops.of(sqrt_luminance(truth.image())), lattice, 1e5, 150)
+    fit = converge(lattice, Microimages.of(lenses), ())
+    discs = fit_two_discs(lenses, fit)
     assert discs is not None
     return truth, discs
 
 
+def _choose(fit, shape):
+    return choose_lens(replace(fit.lenses, shape=shape), fit.step.covariance[-COUNT:, -COUNT:])
+
+
 def test_radii_and_blur_of_both_discs_are_measured(found):
-    truth, discs = found
+    truth, fit = found
+    discs = fit.lenses
     radius = truth.fill * truth.pitch / 2
     np.testing.assert_allclose(discs.radius, [radius, 1.05 * radius], atol=0.03)
     np.testing.assert_allclose(discs.blur, 0.6, atol=0.02)
     assert discs.cut[2] == pytest.approx(-0.3 * radius, abs=0.03)
-    assert discs.doubt is None
+    assert _choose(fit, discs.shape) == (True, None)
+
+
+def test_light_of_interchanged_discs_is_the_same(found):
+    fit = found[1]
+    lattice, other = interchange(fit.lattice, fit.lenses)
+    np.testing.assert_allclose(other.radius, fit.lenses.radius[::-1])
+    np.testing.assert_allclose(other.blur, fit.lenses.blur[::-1])
+    one, two = (discs.compare().table[:, -1] for discs in (fit.lenses, other))
+    # Fields of the two lattices differ by the growth over the reach.
+    np.testing.assert_allclose(one, two, atol=0.02)
+    assert np.abs(one - fit.lenses.at(lattice).compare().table[:, -1]).max() > 0.3
+
+
+def test_derivatives_of_the_light_are_those_of_differences(found):
+    discs = found[1].lenses.draw(3000)
+    seen = discs.compare()
+    for place in range(COUNT):
+        step = np.zeros(COUNT)
+        step[place] = 1e-4
+        light = [
+            replace(discs, shape=discs.shape + sign * step).compare().table[:, -1]
+            for sign in (1, -1)
+        ]
+        np.testing.assert_allclose(
+            (light[0] - light[1]) / 2e-4, seen.table[:, 2 + place], atol=2e-3
+        )
 
 
 def test_the_smaller_disc_is_the_lens_and_shading_decides_between_equal_ones(found):
-    discs = found[1]
-    assert choose_lens(discs.interchanged()).radius[0] == discs.radius[0]
-    parameters = discs.parameters.copy()
-    parameters[RADIUS] = discs.radius[0]
-    equal = replace(discs, parameters=parameters)
-    chosen = choose_lens(equal.interchanged())
-    assert chosen.parameters[SHADING][0] > chosen.parameters[SHADING][1] and chosen.doubt is None
+    fit = found[1]
+    _, other = interchange(fit.lattice, fit.lenses)
+    assert _choose(fit, other.shape) == (False, None)
+    shape = fit.lenses.shape.copy()
+    shape[RADIUS] = shape[RADIUS][0]
+    assert _choose(fit, shape) == (True, None)
+    shape[SHADING] = shape[SHADING][::-1]
+    assert _choose(fit, shape) == (False, None)
 
 
 def test_radii_and_shading_that_contradict_each_other_are_doubtful(found):
-    discs = found[1]
-    parameters = discs.parameters.copy()
-    parameters[SHADING] = parameters[SHADING][::-1]
-    other = replace(discs, parameters=parameters)
-    assert "shading is centred on" in choose_lens(other).doubt
-    assert choose_lens(other).radius[0] == discs.radius[0]
+    fit = found[1]
+    shape = fit.lenses.shape.copy()
+    shape[SHADING] = shape[SHADING][::-1]
+    first, doubt = _choose(fit, shape)
+    assert first and "shading is centred on" in doubt
