@@ -48,64 +48,40 @@ def compute_cell_bins(u, v, step_u, step_v, bins, begin, count, out):
 
 
 @njit(error_model="numpy", forceinline=True)
-def _compute_offsets(u, v, step_u, step_v, bins, begin, count, along, across):
-    """Set `along` and `across` [bins] from `begin` on to the distances of `count` pixels of a line
-    from the centres of their bins, as `compute_cell_bins` sets these.
-    """
-    whole = 4294967296.0
-    half = np.uint32(16)
-    many = np.uint32(bins)
-    unit = np.float32(1 / 65536)
-    middle = np.float32(0.5)
-    step_a = np.uint32(np.int64(step_u * whole))
-    step_b = np.uint32(np.int64(step_v * whole))
-    first = np.uint32(np.int64(u * whole))
-    upper = np.uint32(np.int64(v * whole))
-    for start in range(np.uint32(0), np.uint32(count), np.uint32(VECTOR_LENGTH)):
-        begun = np.uint64(begin) + np.uint64(start)
-        for lane in range(VECTOR_LENGTH):
-            k = np.uint32(start + np.uint32(lane))
-            a = np.uint32(np.uint32(first + np.uint32(step_a * k)) >> half)
-            b = np.uint32(np.uint32(upper + np.uint32(step_b * k)) >> half)
-            within_a = np.uint32(np.uint32(a * many) & np.uint32(65535))
-            within_b = np.uint32(np.uint32(b * many) & np.uint32(65535))
-            at = begun + np.uint64(lane)
-            along[at] = np.float32(np.int32(within_a)) * unit - middle
-            across[at] = np.float32(np.int32(within_b)) * unit - middle
-
-
-@njit(error_model="numpy", forceinline=True)
-def gather_pixels(picture, cx, cy, sides, inverse, bins, place, values, along, across):
-    """Write bins of the pixels of a cell, their values and their distances [bins] from the centres
-    of the bins; return their number.
+def gather_pixels(picture, cx, cy, lens, sides, inverse, stride, bins, place, values):
+    """Write bins and values of the pixels of a cell; return their number.
 
     Some more may be overwritten.
     """
     height, width = picture.shape
     number = np.uint64(0)
-    for y in range(int(np.ceil(cy + sides[6, 0])), int(np.floor(cy + sides[6, 1])) + 1):
+    for y in range(
+        int(np.ceil(cy + sides[6, 0])) + lens % stride, int(np.floor(cy + sides[6, 1])) + 1, stride
+    ):
         dy = y - cy
         low, high = row_interval(dy, sides)
         first = int(np.ceil(cx + low))
         last = int(np.floor(cx + high))
+        first += (lens // stride - first) % stride
         if first > last:
             continue
         dx = first - cx
-        count = last - first + 1
+        count = (last - first) // stride + 1
         u = dx * inverse[0, 0] + dy * inverse[1, 0] + 0.5 / bins
         v = dx * inverse[0, 1] + dy * inverse[1, 1] + 0.5 / bins
-        compute_cell_bins(u, v, inverse[0, 0], inverse[0, 1], bins, number, count, place)
-        _compute_offsets(u, v, inverse[0, 0], inverse[0, 1], bins, number, count, along, across)
+        compute_cell_bins(
+            u, v, inverse[0, 0] * stride, inverse[0, 1] * stride, bins, number, count, place
+        )
         pixels = picture[y]
         # Memory beyond the last row must not be read.
-        if y + 1 < height or first + count + VECTOR_LENGTH <= width:
+        if stride == 1 and (y + 1 < height or first + count + VECTOR_LENGTH <= width):
             for start in range(0, count, VECTOR_LENGTH):
                 for lane in range(VECTOR_LENGTH):
                     at = np.uint64(start) + np.uint64(lane)
                     values[number + at] = pixels[np.uint64(first) + at]
         else:
             for k in range(np.uint64(count)):
-                values[number + k] = pixels[np.uint64(first) + k]
+                values[number + k] = pixels[np.uint64(first) + k * np.uint64(stride)]
         number += np.uint64(count)
     return number
 
@@ -116,10 +92,11 @@ class CellGrid(NamedTuple):
     sides: Floats  # (7, 2) `Cell.row_bounds`
     room: int  # for the pixels of a cell, and for whole vectors beyond them
     inverse: Floats  # (2, 2) [1/px] of the basis
+    stride: int
     bins: int  # of the mean microimage, each way
 
     @classmethod
-    def of(cls, lattice: Lattice, cell: Cell, bins: int) -> CellGrid:
-        room = (int(2 * cell.circumradius) + 3) ** 2 + 2 * VECTOR_LENGTH
+    def of(cls, lattice: Lattice, cell: Cell, stride: int, bins: int) -> CellGrid:
+        room = (int(2 * cell.circumradius) // stride + 3) ** 2 + 2 * VECTOR_LENGTH
         inverse: Array = np.linalg.inv(lattice.basis)
-        return cls(cell.row_bounds(), room, inverse, bins)
+        return cls(cell.row_bounds(), room, inverse, stride, bins)

@@ -58,7 +58,7 @@ def _sum_for_shift(values, level, weight, slope_x, slope_y, number, contrast, of
     return xx, xy, yy, bx, by, squares, weights
 
 
-@kernel(share=lambda picture, centres, sides, room, inverse, bins, chunks, *_: chunks)
+@kernel(share=lambda picture, centres, sides, room, inverse, stride, bins, chunks, *_: chunks)
 def _accumulate(
     begin,
     end,
@@ -67,9 +67,9 @@ def _accumulate(
     sides,
     room,
     inverse,
+    stride,
     bins,
     chunks,
-    step,
     maps,
     cutoff,
     most,
@@ -81,8 +81,6 @@ def _accumulate(
     for chunk in range(begin, end):
         place = np.empty(room, np.uint32)
         values = np.empty(room, np.float32)
-        along = np.empty(room, np.float32)
-        across = np.empty(room, np.float32)
         level = np.empty(room, np.float32)
         weight = np.empty(room, np.float32)
         slope_x = np.empty(room, np.float32)
@@ -91,16 +89,12 @@ def _accumulate(
             cx = centres[lens, 0]
             cy = centres[lens, 1]
             number = gather_pixels(
-                picture, cx, cy, sides, inverse, bins, place, values, along, across
+                picture, cx, cy, lens, sides, inverse, stride, bins, place, values
             )
             for k in range(number):
                 at = np.uint64(place[k])
-                weight[k] = maps[at, 1]
+                level[k], weight[k] = maps[at, 0], maps[at, 1]
                 slope_x[k], slope_y[k] = maps[at, 2], maps[at, 3]
-                # A lattice that moves by less than a bin changes what it is compared with.
-                offset_x = along[k] * step[0, 0] + across[k] * step[1, 0]
-                offset_y = along[k] * step[0, 1] + across[k] * step[1, 1]
-                level[k] = maps[at, 0] + offset_x * slope_x[k] + offset_y * slope_y[k]
             one, mean, square, value, product = _sum_for_contrast(values, level, weight, number)
             contrast = np.float32(1)
             offset = np.float32(0)
@@ -123,22 +117,20 @@ def _accumulate(
 
 
 def build_lens_equations(
-    picture: Singles, lattice: Lattice, centres: Floats, cell: Cell, mean: Singles
+    picture: Singles, lattice: Lattice, centres: Floats, cell: Cell, mean: Singles, stride: int = 1
 ) -> tuple[Floats, Floats, Floats]:
     """Least squares of the shifts of lenses at `centres` (n, 2) [px], over the pixels of their
     whole cells.
 
     Normal matrices (n, 2, 2), right sides (n, 2), and variance (n,) of a pixel about the `mean`
     microimage, over that of all lenses. Each lens has its own contrast and offset: blank or dark
-    ones carry no information.
+    ones carry no information. Of large microimages every `stride`-th pixel each way is enough, as
+    neighbouring ones are alike.
     """
-    grid = CellGrid.of(lattice, cell, round(np.sqrt(len(mean))))
+    grid = CellGrid.of(lattice, cell, stride, round(np.sqrt(len(mean))))
     normal = np.zeros((len(centres), 2, 2))
     right = np.zeros((len(centres), 2))
     noise = np.zeros(len(centres))
     cutoff = np.float32(1 / TUKEY_CUTOFF**2)
-    step = (lattice.basis / grid.bins).astype(np.float32)
-    _accumulate(
-        picture, centres, *grid, CHUNKS, step, mean, cutoff, _MOST_CONTRAST, normal, right, noise
-    )
+    _accumulate(picture, centres, *grid, CHUNKS, mean, cutoff, _MOST_CONTRAST, normal, right, noise)
     return normal, right, noise

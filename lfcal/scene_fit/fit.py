@@ -11,22 +11,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 
 from ..detection.search import Candidate
 from ..images.preprocessing import edge_strength, normalise_locally, sqrt_luminance
 from ..lattice.cell import Cell
 from ..lattice.distortion import Distortion
-from ..lattice.lattice import Lattice, irregularity, nearest_regular_ratio
+from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import sample_mask
 from ..lattice.robust_fit import LatticeFit, field_rms
 from ..lattice.standard_errors import equal_weight_errors
 from ..microimage.lens_equations import build_lens_equations
 from ..microimage.mean_cell import average_cells
-from ..runtime.arrays import ENOUGH_LENSES, Array, Booleans, Floats, Integers, Singles, evenly
+from ..runtime.arrays import ENOUGH_LENSES, Booleans, Floats, Integers, Singles, evenly
 from ..runtime.errors import CalibrationError
-from .irls import LensShifts, error_inflation, is_regular, solve_irls
+from .irls import LensShifts, error_inflation, find_regular_ratio, solve_irls
 
 __all__ = [
     "fit_lattice_to_scenes",
@@ -37,30 +36,14 @@ __all__ = [
 ]
 
 _FEWEST_LENSES = 12
-# [pitch] RMS distance of single lenses beyond which tiles may be the better measure.
-_SCATTER = 0.023
-# Lenses for the first steps, and passes of these at most.
+# Lenses for the first steps, and passes of these.
 _SKETCH_LENSES = 700
-_SKETCH_PASSES = 8
-# [px] pitch of a picture from half as much more on which it is reduced.
-_LARGEST = 36.0
+_SKETCH_PASSES = 4
 # Pixels of all lenses that are used, about.
 _PIXELS = 4e6
-# Passes of a fit at most, those before the response of the shifts is measured, and those of a
-# distortion.
-_PASSES = 20
-_PLAIN_PASSES = 4
-_BEND_PASSES = 4
-# [pitch] longest step.
-_LONGEST = 0.05
-# Least response of the shifts that steps follow.
-_LEAST_RESPONSE = 0.1
+_PASSES = 10
 # [standard errors] shorter steps end a fit.
-_SETTLED = 0.05
-# [standard errors] smaller changes of a distortion end its fit.
-_BENT = 0.2
-# Irregularity of a basis below which the array is taken for regular if the lenses allow it.
-_NEARLY_REGULAR = 0.01
+_SETTLED = 0.2
 # Parts of the flat whose errors are independent of each other.
 _TILES = 36
 # [1/px] Bins of the mean microimage; and most of them each way: more are not worth their memory.
@@ -87,10 +70,7 @@ def fit_lattice_to_scenes(lights: list[Singles], picture: Singles, start: Candid
     if len(lights) > 1:
         rims /= np.float32(len(lights))
     fit = fit_scene(rims, found)
-    if (
-        fit.residual_rms > _SCATTER * found.pitch
-        and not fit.half_difference < start.half_difference
-    ):
+    if fit.residual_rms > 0.02 * found.pitch and not fit.half_difference < start.half_difference:
         # Single lenses scatter too much: averages of whole tiles are the better measure.
         return LatticeFit(found, fit.residual_rms, fit.lenses_used, start.half_difference)
     return replace(fit, displacement=_displacement(found, fit.lattice))
@@ -112,52 +92,25 @@ def fit_scene(picture: Singles, lattice: Lattice, most: int = 8000) -> LatticeFi
     many lenses are used, evenly spread. CalibrationError if fewer than a dozen whole microimages
     are on the flat, or they keep to no lattice.
     """
-    factor = max(1, round(lattice.pitch / _LARGEST))
-    if factor > 1:
-        # Means of squares of pixels: every other pixel of larger microimages would be as fast, but
-        # the lattice of a scene then depends on which.
-        small, size = _reduce(picture, factor)
-        reduced = fit_scene(small, lattice.scaled(1 / factor, size), most)
-        return _enlarge(reduced, factor, lattice.image_size)
+    # Of larger microimages fewer pixels are used, as many as of these.
+    stride = max(1, round(lattice.pitch / 24))
     area = abs(np.linalg.det(lattice.basis))
     # More lenses do not make the lattice of a scene more accurate.
-    most = min(max(int(_PIXELS / area), _SKETCH_LENSES), most)
-    regular = None
-    if irregularity(lattice.basis) < _NEARLY_REGULAR:
-        regular = nearest_regular_ratio(lattice.basis)
-    response = None
+    most = min(max(int(_PIXELS * stride**2 / area), _SKETCH_LENSES), most)
     if min(most, len(lattice)) > 2 * _SKETCH_LENSES:
-        sketch = _Fitter(picture, select_lenses(lattice, _SKETCH_LENSES), regular)
-        rough = sketch.converge(lattice, passes=_SKETCH_PASSES)
-        lattice = rough.lattice
-        response = rough.response
+        sketch = _Fitter(picture, select_lenses(lattice, _SKETCH_LENSES), stride)
+        lattice = sketch.converge(lattice, _SKETCH_PASSES).lattice
     indices = select_lenses(lattice, most)
-    certain = _select_certain(measure_shifts(picture, lattice, indices).variance)
-    fitter = _Fitter(picture, indices[certain], regular)
-    fit = fitter.converge(lattice, response)
-    if regular is not None and not is_regular(fit.shifts):
-        fitter = replace(fitter, regular=None)
-        fit = fitter.converge(fit.lattice)
-    return _summarise(fitter.add_distortion(fit))
-
-
-def _reduce(picture: Singles, factor: int) -> tuple[Singles, tuple[int, int]]:
-    """A picture averaged over `factor` x `factor` pixels, and its width and height."""
-    height, width = (length // factor for length in picture.shape)
-    whole = picture[: factor * height, : factor * width]
-    small = cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA)
-    return np.asarray(small), (width, height)
-
-
-def _enlarge(fit: LatticeFit, factor: int, image_size: tuple[int, int]) -> LatticeFit:
-    """A fit to a reduced picture, in pixels of the whole one."""
-    return replace(
-        fit,
-        lattice=fit.lattice.scaled(factor, image_size),
-        residual_rms=fit.residual_rms * factor,
-        half_difference=fit.half_difference * factor,
-        errors=fit.errors and fit.errors.scaled(factor),
-    )
+    measured = measure_shifts(picture, lattice, indices, stride)
+    certain = _select_certain(measured.variance)
+    fitter = _Fitter(picture, indices[certain], stride)
+    measured = measured.select(certain)
+    fit = fitter.add_distortion(fitter.converge(lattice, _PASSES, measured=measured))
+    regular = find_regular_ratio(fit.before.basis, fit.shifts)
+    if regular is not None:
+        fitter = replace(fitter, regular=regular)
+        fit = fitter.converge(fit.before, _PASSES, measured=fit.measured)
+    return _summarise(fit)
 
 
 def _summarise(fit: _Converged) -> LatticeFit:
@@ -167,8 +120,7 @@ def _summarise(fit: _Converged) -> LatticeFit:
     index = lattice.indices()
     # The scene may have light in a part of the flat alone.
     field = np.column_stack([np.ones(len(index)), index])
-    error = standard_error(shifts, fit.change, weight, field, fit.gain)
-    error *= error_inflation(shifts, weight)
+    error = standard_error(shifts, fit.change, weight, field) * error_inflation(shifts, weight)
     tile, parity = _tiles(shifts, max(_TILES, len(weight) // 16))
     sides = [parity[tile] == side for side in (0, 1)]
     if min(side.sum() for side in sides) < 3:
@@ -177,10 +129,9 @@ def _summarise(fit: _Converged) -> LatticeFit:
     miss = ((shifts.shift - shifts.design @ fit.change) ** 2).sum(1)
     scatter = float(np.sqrt(np.average(miss, weights=weight)))
     differ = field_rms(field, one - two)
-    away = field_rms(field, (fit.gain @ (one - two).ravel()).reshape(3, 2))
     # The variance of each half is twice that of the whole; a fit that has not converged is off by
     # what is left to go.
-    error = float(np.hypot(max(error, away / 2), fit.remaining))
+    error = float(np.hypot(max(error, differ / 2), fit.remaining))
     used = int((weight > 0).sum())
     return LatticeFit(lattice, scatter, used, differ, equal_weight_errors(lattice, error))
 
@@ -194,40 +145,19 @@ class _Measured:
     shifts: LensShifts
     variance: Floats
 
-
-@dataclass(frozen=True)
-class _Frame:
-    """Changes of a lattice of unit size: orthonormal, where the product of two changes is the mean
-    over the lenses of that of their shifts.
-    """
-
-    changes: Floats  # (6, p) of origin and basis, one in each column
-    inverse: Floats  # (p, 6)
-
-    @classmethod
-    def of(cls, indices: Integers, regular: complex | None) -> _Frame:
-        """All changes, or those of a regular array with this `a2 / a1`, for lenses (n, 2)."""
-        design = np.column_stack([np.ones(len(indices)), indices])
-        root = np.kron(np.linalg.cholesky(design.T @ design / len(design)).T, np.eye(2))
-        free = np.eye(6)
-        if regular is not None:
-            turn = np.array([[regular.real, -regular.imag], [regular.imag, regular.real]])
-            free = np.vstack([np.eye(4), np.hstack([np.zeros((2, 2)), turn])])
-        unit, scale = np.linalg.qr(root @ free)
-        return cls(free @ np.linalg.inv(scale), unit.T @ root)
-
-    def coordinates(self, change: Floats) -> Floats:
-        """(p,) of a change (3, 2)."""
-        return self.inverse @ change.ravel()
+    def select(self, chosen: Booleans) -> _Measured:
+        """The `chosen` (n,) of all lenses."""
+        return _Measured(
+            self.shifts.select(chosen[np.isfinite(self.variance)]), self.variance[chosen]
+        )
 
 
 @dataclass(frozen=True)
 class _Converged:
-    """A lattice at which the shifts of the lenses balance.
+    """A lattice, the one before it, what is measured from there, and the common change and weights
+    of the lenses.
 
-    `before` is the one that shifts were `measured` from last, `change` (3, 2) what they say there,
-    with the `weight` (n,) of the lenses. `remaining` [px] is the length of the last step, RMS over
-    the field.
+    `remaining` [px] is how far the lattice would still have moved, RMS over the field.
     """
 
     lattice: Lattice
@@ -236,88 +166,62 @@ class _Converged:
     change: Floats
     weight: Floats
     remaining: float
-    frame: _Frame
-    response: Floats  # (p, p) how the change follows the lattice: minus one for sharp rims
 
     @property
     def shifts(self) -> LensShifts:
         return self.measured.shifts
 
-    @property
-    def gain(self) -> Floats:
-        """(6, 6) error of the lattice by that of the change."""
-        return self.frame.changes @ np.linalg.solve(_bounded(self.response), self.frame.inverse)
-
 
 @dataclass(frozen=True)
 class _Fitter:
-    """Fits a lattice to lenses `indices` (n, 2) of a picture; `regular` as of `LensShifts`."""
+    """Fits a lattice to lenses `indices` (n, 2) of a picture, every `stride`-th pixel; `regular` as
+    of `LensShifts`.
+    """
 
     picture: Singles
     indices: Integers
+    stride: int
     regular: complex | None = None
 
     def converge(
-        self, lattice: Lattice, response: Floats | None = None, passes: int = _PASSES
+        self, lattice: Lattice, passes: int, measured: _Measured | None = None
     ) -> _Converged:
-        """Move the lattice until the shifts of the lenses balance.
+        """Move the lattice until the shifts of the lenses balance; `measured` are those of the
+        first pass, if known.
 
-        Where scenes blur the mean microimage, the shifts fall far short of the way that is left:
-        steps follow Broyden's method (Math. Comp. 19, 1965), and after some passes the `response`
-        of the shifts to the lattice is measured. Weights of the lenses follow that of the pass
-        before.
+        Where scenes blur the mean microimage a single step falls far short: steps are accelerated
+        (`Acceleration`).
         """
         start = lattice.basis
-        frame = _Frame.of(self.indices, self.regular)
-        whole = np.vstack([lattice.origin, lattice.basis])
-        nearest = frame.changes @ frame.coordinates(whole)
-        lattice = lattice.moved(nearest - whole.ravel())
-        known = response is not None
-        count = frame.changes.shape[1]
-        response = -np.eye(count) if response is None else response
+        path = Acceleration([], [])
+        # The lenses that agree best are selected at first: selected at every step, they would
+        # alternate between parts of the flat that do not agree.
         weights: Floats | None = None
-        value: Floats = np.zeros(count)
-        step: Array = np.zeros(count)
         for turn in range(passes):
-            measured = self._measure(lattice)
+            if measured is None or turn > 0:
+                measured = measure_shifts(self.picture, lattice, self.indices, self.stride)
+            measured = replace(measured, shifts=replace(measured.shifts, regular=self.regular))
             shifts = measured.shifts
             shown = np.isfinite(measured.variance)
-            before = None
-            if weights is not None:
-                before = weights[shown]
-                turned = frame.coordinates(shifts.fit(before)) - value - response @ step
-                response = response + np.outer(turned, step) / max(float(step @ step), 1e-30)
-            change, weight = solve_irls(shifts, before)
+            before = None if weights is None else weights[shown]
+            change, weight = solve_irls(
+                shifts, before if before is not None and before.any() else None
+            )
+            short = _SETTLED * standard_error(shifts, change, weight, shifts.design)
+            leap = path.leap(lattice, change, shifts.design)
+            settled = max(field_rms(shifts.design, change), field_rms(shifts.design, leap)) < short
             weights = np.zeros(len(self.indices))
             weights[shown] = weight
-            if turn == _PLAIN_PASSES and not known:
-                response = self._measure_response(lattice, frame, weights)
-            value = frame.coordinates(change)
-            step = -np.linalg.solve(_bounded(response), value)
-            remaining = float(np.linalg.norm(step))
-            step *= min(1.0, _LONGEST * lattice.pitch / max(remaining, 1e-30))
             from_here = lattice
-            lattice = lattice.moved(frame.changes @ step)
+            last = settled or turn == passes - 1
+            lattice = lattice.moved((change if last else leap).ravel())
             if not np.abs(lattice.basis @ np.linalg.inv(start) - np.eye(2)).max() < 0.05:
                 raise CalibrationError(_NO_LATTICE)
-            settled = _SETTLED * standard_error(shifts, change, weight, shifts.design)
-            if remaining < settled:
+            if settled:
                 break
-        return _Converged(lattice, from_here, measured, change, weight, remaining, frame, response)
-
-    def _measure(self, lattice: Lattice) -> _Measured:
-        measured = measure_shifts(self.picture, lattice, self.indices)
-        return replace(measured, shifts=replace(measured.shifts, regular=self.regular))
-
-    def _measure_response(self, lattice: Lattice, frame: _Frame, weights: Floats) -> Floats:
-        """(p, p) how the change follows the lattice, by differences."""
-        length = _LONGEST / 10 * lattice.pitch
-        values = []
-        for column in (np.zeros(6), *frame.changes.T):
-            measured = self._measure(lattice.moved(length * column))
-            shown = np.isfinite(measured.variance)
-            values.append(frame.coordinates(measured.shifts.fit(weights[shown])))
-        return (np.array(values[1:]) - values[0]).T / length
+        assert measured is not None
+        remaining = 0.0 if settled else field_rms(shifts.design, leap)
+        return _Converged(lattice, from_here, measured, change, weight, remaining)
 
     def add_distortion(self, fit: _Converged) -> _Converged:
         """The fit with a radial distortion, about the middle or any place, if that is significant,
@@ -326,20 +230,40 @@ class _Fitter:
         for tilted in (False, True):
             whole = _estimate_radial(fit, tilted)
             if fit.lattice.distortion is None and whole.is_significant(fit.lattice.pitch):
-                for _ in range(_BEND_PASSES):
+                for _ in range(_SKETCH_PASSES):
                     bend = whole.distortion(fit.lattice.image_size)
-                    fit = self.converge(replace(fit.lattice, distortion=bend), fit.response)
+                    fit = self.converge(replace(fit.lattice, distortion=bend), _SKETCH_PASSES)
                     more = _estimate_radial(fit, tilted)
-                    if more.significance < _BENT**2:
+                    if more.significance < _SETTLED**2:
                         break
                     whole = whole + more
         return fit
 
 
-def _bounded(response: Floats) -> Floats:
-    """A response (p, p) without directions in which the shifts hardly follow the lattice."""
-    left, size, right = np.linalg.svd(response)
-    return np.asarray((left * np.maximum(size, _LEAST_RESPONSE)) @ right)
+@dataclass
+class Acceleration:
+    """Anderson's acceleration (J. ACM 12, 1965): lattices (6,) that a fit has passed, and the
+    changes it made there.
+    """
+
+    lattices: list[Floats]
+    changes: list[Floats]
+
+    def leap(self, lattice: Lattice, change: Floats, design: Floats) -> Floats:
+        """Change (3, 2) after which no other is needed if changes are linear in the lattice."""
+        self.lattices.append(np.vstack([lattice.origin, lattice.basis]).ravel())
+        self.changes.append(change.ravel())
+        if len(self.changes) == 1:
+            return change
+        recent = slice(-5, None)
+        moves = np.diff(self.lattices[recent], axis=0).T
+        turns = np.diff(self.changes[recent], axis=0).T
+        # In the metric of the movement of the centres.
+        root = np.kron(np.linalg.cholesky(design.T @ design / len(design)).T, np.eye(2))
+        part = np.linalg.lstsq(root @ turns, root @ self.changes[-1], rcond=0.05)[0]
+        further = self.changes[-1] - (moves + turns) @ part
+        length, plain = (float(np.linalg.norm(root @ v)) for v in (further, self.changes[-1]))
+        return (further * min(1.0, 10 * plain / max(length, 1e-300))).reshape(3, 2)
 
 
 def select_lenses(lattice: Lattice, most: int) -> Integers:
@@ -362,7 +286,7 @@ def _select_certain(variance: Floats) -> Booleans:
     return np.asarray(variance <= max(4 * np.quantile(variance, 0.02), enough))
 
 
-def measure_shifts(picture: Singles, lattice: Lattice, indices: Integers) -> _Measured:
+def measure_shifts(picture: Singles, lattice: Lattice, indices: Integers, stride: int) -> _Measured:
     """Shifts of the lenses at `indices` (n, 2) from the lattice, each by itself."""
     cell = Cell.of(lattice)
     centres = lattice.points(indices)
@@ -373,8 +297,8 @@ def measure_shifts(picture: Singles, lattice: Lattice, indices: Integers) -> _Me
         raise CalibrationError(_NO_LATTICE)
     inside = np.ascontiguousarray(centres[whole])
     bins = int(min(_BINS * lattice.pitch, _MOST_BINS))
-    mean = average_cells(picture, lattice, inside, cell, bins)
-    normal, right, noise = build_lens_equations(picture, lattice, inside, cell, mean)
+    mean = average_cells(picture, lattice, inside, cell, bins, stride)
+    normal, right, noise = build_lens_equations(picture, lattice, inside, cell, mean, stride)
     # Dark and blank lenses fit any lattice.
     information = np.trace(normal, axis1=1, axis2=2)
     clear = information > 0.001 * np.quantile(information, 0.9)
@@ -395,13 +319,9 @@ def measure_shifts(picture: Singles, lattice: Lattice, indices: Integers) -> _Me
     return _Measured(LensShifts(design, shift, known, lattice.basis), variance)
 
 
-def standard_error(
-    shifts: LensShifts, change: Floats, weight: Floats, field: Floats, gain: Floats | None = None
-) -> float:
+def standard_error(shifts: LensShifts, change: Floats, weight: Floats, field: Floats) -> float:
     """Standard error of a centre, RMS over the `field` (m, 3) as of `LensShifts.design` [px], from
     residuals of tiles.
-
-    Of the change (3, 2), or of the lattice that follows it with this `gain` (6, 6).
 
     A cluster-robust ("sandwich") covariance: Huber, Robust Statistics (1981), section 7.6.
     """
@@ -413,12 +333,9 @@ def standard_error(
     total = np.zeros((tiles, 2, 3))
     np.add.at(total, tile, pull)
     bread = np.linalg.pinv((shifts.design * weight[:, None]).T @ shifts.design)
-    pulls = np.einsum("pq,taq->tpa", bread, total).reshape(tiles, 6)
-    if gain is not None:
-        pulls = pulls @ gain.T
-    moments = np.kron(field.T @ field / len(field), np.eye(2))
-    square = float(np.einsum("tp,pq,tq", pulls, moments, pulls))
-    return float(np.sqrt(square * tiles / max(tiles - 3, 1)))
+    covariance = bread @ np.einsum("tap,taq->pq", total, total) @ bread
+    moments = field.T @ field / len(field)
+    return float(np.sqrt(max(np.trace(covariance @ moments), 0.0) * tiles / max(tiles - 3, 1)))
 
 
 def _tiles(shifts: LensShifts, number: int) -> tuple[Integers, Integers]:
@@ -455,11 +372,11 @@ class RadialEstimate:
         """Whether a distortion of this strength exceeds what a scene without one can show, at this
         pitch [px].
 
-        Scenes without one reach 9 and 0.001 pitches, with a tilt 22 and 0.005 pitches (MiniGarden2).
+        Scenes without one reach 9 and 0.001 pitches, with a tilt 12 and 0.003 pitches.
         """
         tilted = self.tilt.any()
         return (
-            self.significance > (30 if tilted else 36)
+            self.significance > (20 if tilted else 64)
             and self.shift > (0.005 if tilted else 0.003) * pitch
         )
 

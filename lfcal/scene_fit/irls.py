@@ -15,11 +15,12 @@ from functools import cached_property
 import numpy as np
 from numba import njit
 
+from ..lattice.lattice import irregularity, nearest_regular_ratio
 from ..lattice.lens_subset import sample_mask
 from ..runtime.arrays import Booleans, Floats
 from ..runtime.kernels import kernel
 
-__all__ = ["LensShifts", "error_inflation", "is_regular", "solve_irls"]
+__all__ = ["LensShifts", "error_inflation", "find_regular_ratio", "solve_irls"]
 
 # Share of the lenses that gives the scale of the residuals.
 _INLIERS = 0.35
@@ -69,14 +70,8 @@ class LensShifts:
         """(n,) squared distances [px^2] from a change (3, 2) of origin and basis, over `spread`."""
         return ((self.shift - self.design @ change) ** 2).sum(1) / self.spread
 
-    def fit(self, weight: Floats) -> Floats:
-        """Change (3, 2) of least squares with these weights (n,)."""
-        return self.iterate(weight, 0)[0]
-
-    def iterate(self, weight: Floats, most: int = _ITERATIONS) -> tuple[Floats, Floats, float]:
-        """Change (3, 2) from starting weights (n,), weights (n,), and variance over `spread`, after
-        at most so many iterations.
-        """
+    def iterate(self, weight: Floats) -> tuple[Floats, Floats, float]:
+        """Change (3, 2) from starting weights (n,), weights (n,), and variance over `spread`."""
         weight = np.array(weight, dtype=np.float64)
         change = np.empty(3, np.complex128)
         variance = _iterate(
@@ -86,7 +81,6 @@ class LensShifts:
             self.spread,
             self.basis @ [1, 1j],
             0j if self.regular is None else self.regular,
-            most,
             change,
             weight,
         )
@@ -173,12 +167,12 @@ def _weighted_quantile(values, weight, share):
 
 
 @kernel(error_model="numpy")
-def _iterate(design, shift, prior, spread, basis, ratio, most, change, weight):
+def _iterate(design, shift, prior, spread, basis, ratio, change, weight):
     """Set `change` (3,), and iterate `weight` (n,) in place; returns the variance over `spread`."""
     square = np.empty(len(weight))
     variance = 0.0
     origin, first, second = _fit(design, shift, weight, basis, ratio)
-    for _ in range(most):
+    for _ in range(_ITERATIONS):
         for k in range(len(weight)):
             miss = shift[k] - origin - design[k, 1] * first - design[k, 2] * second
             square[k] = (miss.real * miss.real + miss.imag * miss.imag) / spread[k]
@@ -252,16 +246,19 @@ def _cost(shifts: LensShifts, change: Floats, variance: float) -> float:
     return float((np.minimum(shifts.squares(change) / variance, _OUTLIER**2) * shifts.prior).sum())
 
 
-def is_regular(shifts: LensShifts) -> bool:
-    """Whether the lenses cannot distinguish the array from the regular one that `shifts` are bound
-    to.
+def find_regular_ratio(basis: Floats, shifts: LensShifts) -> complex | None:
+    """`a2 / a1` of the square or hexagonal array that lenses cannot distinguish from `basis`, or
+    None.
 
     An F-test of the fit that is bound to the regular array against the free one; a scene has a
     dozen parts with independent errors, whatever the number of lenses. Arrays are made to 1e-4.
     """
-    found = [_solve_from_all(replace(shifts, regular=known)) for known in (None, shifts.regular)]
+    if irregularity(basis) > 0.003:
+        return None
+    regular = nearest_regular_ratio(basis)
+    found = [_solve_from_all(replace(shifts, regular=known)) for known in (None, regular)]
     least = min(variance for _, _, variance in found)
     free, bound = (_cost(shifts, change, least) for change, _, _ in found)
     freedom = 2 * 12 - 6
     # One chance in a hundred.
-    return (bound / max(free, 1e-30) - 1) * freedom / 2 < 6
+    return regular if (bound / max(free, 1e-30) - 1) * freedom / 2 < 6 else None

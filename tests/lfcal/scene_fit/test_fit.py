@@ -15,7 +15,7 @@ import lfcal
 from lfcal.images.preprocessing import edge_strength, normalise_locally, sqrt_luminance
 from lfcal.lattice.distortion import Distortion
 from lfcal.lattice.lattice import Lattice
-from lfcal.scene_fit.fit import fit_scene, measure_shifts, select_lenses
+from lfcal.scene_fit.fit import Acceleration, fit_scene, measure_shifts, select_lenses
 
 
 def _fit(image, basis, origin, off=0.4):
@@ -67,7 +67,7 @@ def test_radial_distortion_of_a_simulated_scene_is_found_and_none_where_there_is
     miss = centres - moved.points(np.rint(moved.to_index(centres)))
     # The best straight lattice is off by 0.23 px.
     assert np.sqrt((miss**2).sum(1).mean()) < 0.05
-    assert camera.lattice.distortion.k1 == pytest.approx(0.006, abs=0.0007)
+    assert camera.lattice.distortion.k1 == pytest.approx(0.006, abs=0.0006)
 
 
 def test_a_dragged_part_of_the_flat_has_no_influence(whites):
@@ -104,19 +104,22 @@ def test_most_of_a_flat_dragged_along_with_its_texture_has_no_influence(whites):
     assert _rms(_fit(image, basis, origin, 0.3), basis, origin, size) < 0.01
 
 
-@pytest.mark.parametrize("pitch", [16.0, 40.3, 70.0])
-def test_end_of_a_fit_does_not_depend_on_its_start(whites, pitch):
-    basis = whites.turned(whites.SQUARE, pitch, 0)
-    size = (int(24 * pitch), int(20 * pitch))
-    image, origin = whites.white_image(basis, size, noise=0.02)
-    # Content that is stronger than the rims, as on elemental images.
-    texture = cv2.GaussianBlur(np.random.default_rng(0).random(image.shape), (0, 0), pitch / 8)
-    image = image * np.clip(1 + 0.3 * (texture - texture.mean()) / texture.std(), 0.1, None)
-    fits = [_fit(image, basis, origin + np.array(away)) for away in ((0, 0), (0.3, -0.2))]
-    centres = fits[0].lattice.centres()
-    index = np.rint(fits[1].lattice.to_index(centres))
-    apart = np.linalg.norm(fits[1].lattice.points(index) - centres, axis=1)
-    assert apart.max() < 0.2 * _error(fits[0])
+def test_acceleration_converges_although_single_steps_fall_short():
+    lattice = Lattice(
+        np.array([10.0, 12.0]), np.array([[20.0, 0.0], [10.0, 17.0]]), (400, 300), 10.0
+    )
+    design = np.column_stack([np.ones(len(lattice)), lattice.indices()])
+    wanted = np.array([[0.3, -0.2], [0.02, -0.01], [0.005, 0.03]])
+    # A step corrects a fifth of the scale, and the origin at once.
+    share = np.array([[1.0], [0.2], [0.3]])
+    path = Acceleration([], [])
+    now = lattice
+    for _ in range(8):
+        left = wanted - np.vstack([now.origin - lattice.origin, now.basis - lattice.basis])
+        now = now.moved(path.leap(now, share * left, design).ravel())
+    miss = design @ (wanted - np.vstack([now.origin - lattice.origin, now.basis - lattice.basis]))
+    # Without acceleration a sixth of it would be left, 0.04 px.
+    assert np.sqrt((miss**2).sum(1).mean()) < 0.001
 
 
 def test_standard_error_of_a_flat_with_a_dragged_part_exceeds_that_of_independent_lenses(whites):
@@ -151,7 +154,7 @@ def test_an_array_is_taken_as_regular_only_where_it_is(whites, stretch):
     assert _rms(fit, basis, origin, (600, 500)) < 0.01
 
 
-def test_square_lattice_of_70_px_is_fitted_on_means_of_pixels(whites):
+def test_square_lattice_of_70_px_is_fitted_on_every_third_pixel(whites):
     basis = whites.turned(whites.SQUARE, 70.0, 1)
     image, origin = whites.white_image(basis, (1000, 800))
     assert _rms(_fit(image, basis, origin, 0.5), basis, origin, (1000, 800)) < 0.03
@@ -163,7 +166,7 @@ def test_lenses_moved_over_the_edge_of_the_flat_are_ignored(whites):
     lattice = lfcal.Lattice(origin, basis, (300, 260), 10.0)
     indices = select_lenses(lattice, 1000)
     moved = lfcal.Lattice(origin + np.array([60.0, 0.0]), basis, (300, 260), 10.0)
-    variance = measure_shifts(image.astype(np.float32), moved, indices).variance
+    variance = measure_shifts(image.astype(np.float32), moved, indices, 1).variance
     over = moved.points(indices)[:, 0] > 299
     assert over.sum() > 10
     assert np.isinf(variance[over]).all()
