@@ -29,14 +29,15 @@ GAP = 9
 TAIL = 10
 CORRELATION = 11
 COUNT = 12
-# Places of these in a row of derivatives, after those with the centre.
+# Places of those of the first disc; those of the second one follow.
+_FIRST_RADIUS = RADIUS.start
+_FIRST_BLUR = BLUR.start
+_FIRST_SHADING = SHADING.start
+# Places of the parameters in a row of derivatives, where those with the centre come first.
 _CUT = 2
-_RADIUS_OF = RADIUS.start
-_BLUR_OF = BLUR.start
-_SHADING_OF = SHADING.start
-_RADIUS = _CUT + _RADIUS_OF
-_BLUR = _CUT + _BLUR_OF
-_SHADING = _CUT + _SHADING_OF
+_RADIUS = _CUT + _FIRST_RADIUS
+_BLUR = _CUT + _FIRST_BLUR
+_SHADING = _CUT + _FIRST_SHADING
 _GAP = _CUT + GAP
 _TAIL = _CUT + TAIL
 _CORRELATION = _CUT + CORRELATION
@@ -100,13 +101,13 @@ def _add_lens(px, py, fx, fy, p, sharp, scale, discs, row):
         x = px - disc * (p[0] + fx * p[2])
         y = py - disc * (p[1] + fy * p[2])
         far = math.sqrt(x * x + y * y) + 1e-9
-        alpha = (p[_RADIUS_OF + disc] - far) * sharp[disc]
+        alpha = (p[_FIRST_RADIUS + disc] - far) * sharp[disc]
         if alpha < -_DEEPEST:
             return 0.0
         depth, light, slope = _through_edge(alpha, tail)
         discs[disc, 0], discs[disc, 1], discs[disc, 2], discs[disc, 3] = x, y, far, alpha
         discs[disc, 4], discs[disc, 5], discs[disc, 6] = depth, light, slope
-        even -= p[_SHADING_OF + disc] * far * far / (scale * scale)
+        even -= p[_FIRST_SHADING + disc] * far * far / (scale * scale)
     first = discs[0, 5]
     second = discs[1, 5]
     joint = first * second
@@ -129,7 +130,7 @@ def _add_lens(px, py, fx, fy, p, sharp, scale, discs, row):
         y = discs[disc, 1]
         far = discs[disc, 2]
         alpha = discs[disc, 3]
-        shading = p[_SHADING_OF + disc] / (scale * scale)
+        shading = p[_FIRST_SHADING + disc] / (scale * scale)
         push = discs[disc, 6] * (with_second if disc else with_first) * height * even
         pull = push * (1 + 3 * tail * (alpha * alpha - 1)) * sharp[disc]
         rest = pull / far + 2 * height * joint * shading
@@ -162,7 +163,7 @@ def evaluate(begin, end, place, lens, field, steps, p, scale, reach, table):
     """
     discs = np.empty((2, 7))
     row = np.empty(_CUT + COUNT)
-    sharp = np.array([math.exp(-p[_BLUR_OF]), math.exp(-p[_BLUR_OF] - p[_BLUR_OF + 1])])
+    sharp = np.array([math.exp(-p[_FIRST_BLUR]), math.exp(-p[_FIRST_BLUR] - p[_FIRST_BLUR + 1])])
     for k in range(begin, end):
         row[:] = 0.0
         fx = field[lens[k], 0]

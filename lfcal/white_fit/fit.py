@@ -143,7 +143,7 @@ def _summarise(fit: Fit[Any], cut: Floats | None = None, doubt: str | None = Non
         LatticeErrors(tuple(step.names), step.covariance[:number, :number]),
         Residuals(fit.lenses.indices.astype(np.int32), _locate_lenses(fit).astype(np.float32)),
         cut,
-        doubt=doubt or _find_doubt(fit.lenses),
+        doubt=doubt or _doubt_of_centroids(fit.lenses),
     )
 
 
@@ -230,7 +230,7 @@ def _fit_any_shape(fit: Fit[Microimages]) -> Fit[Any]:
     return fit
 
 
-def _find_doubt(lenses: Lenses) -> str | None:
+def _doubt_of_centroids(lenses: Lenses) -> str | None:
     offset = measure_centroid_offset(lenses)
     if not offset > CENTROIDS:
         return None

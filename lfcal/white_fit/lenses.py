@@ -189,11 +189,11 @@ def core_reach(cell: Cell) -> int:
 def _fit_shade(slopes: Floats, weight: Floats, centres: Floats, lattice: Lattice) -> Floats:
     """Slope (3, 2) of the light of lenses without that of their neighbours, over the field.
 
-    It is linear in the position [px]; zeros if it is not significant.
+    It is linear in the position [px], and 0 on an axis that may lie beside the middle of the flat;
+    zeros if it is not significant.
 
     `slopes` (n, 2) [1/px] are those of the light within single microimages beyond that of the
-    gains. The slope grows linearly with the distance from an axis, which may lie beside the middle;
-    zeros where that is not significant.
+    gains.
     """
     far = centres - (np.array(lattice.image_size) - 1) / 2
     root = np.sqrt(weight)[:, None]
